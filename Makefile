@@ -9,13 +9,13 @@ STAMP_MUJOCO3 := .venv-mujoco3/.installed
 DOCS_STAMP := $(VENV)/.docs
 MAKE_VENV := .ci/make_venv
 
-# A sourced ROS set-up puts its own packages and pytest plugins in front of ours; without bytecode on disk
-# each of the hundreds of programs that the tests start would read all sources anew.
+# A sourced ROS set-up puts its own packages and pytest plugins before ours. Without bytecode files, each of the
+# hundreds of programs that the tests start would compile all sources again.
 unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
-# The matrices here are small: OpenBLAS's threads would only wait for each other.
+# The matrices are small, so the threads of OpenBLAS would only wait for each other.
 export OPENBLAS_NUM_THREADS := 1
 
-# An editable install remembers where it was made: a moved checkout, or another PYTHON, is installed anew.
+# An editable install contains the path of the checkout. A moved checkout or another PYTHON needs a new install.
 ifneq ($(shell cat $(STAMP) 2>/dev/null),$(CURDIR))
 STALE := FORCE
 endif
@@ -35,22 +35,22 @@ endif
 .PHONY: help reach test explore soak fuzz strangers lerobot check lint types imports format docs wheel test-opencv4 test-mujoco3 constraints clean FORCE
 
 help:
-	@echo 'make reach         the main job: a camera sees a marker, the arm reaches it (ARGS="--help" for its options)'
+	@echo 'make reach         a camera sees a marker and the arm reaches it (ARGS="--help" for its options)'
 	@echo 'make test          the tests (ARGS="-k puma" chooses some)'
 	@echo 'make explore       the same tests with new random examples of every law'
 	@echo 'make check         style, mypy on the built wheel, import contracts'
-	@echo 'make format        let ruff fix the layout and the imports'
+	@echo 'make format        format the code and sort the imports with ruff'
 	@echo 'make docs          the pages and the API as a site, in build/site'
 	@echo 'make soak          the long tests'
-	@echo 'make fuzz          any bytes against codec, parsers, servos and driver, guided by coverage'
-	@echo 'make strangers     other people'"'"'s servo clients, unmodified, on the virtual bus'
+	@echo 'make fuzz          random bytes against codec, parsers, servos and driver, guided by coverage'
+	@echo 'make strangers     third-party servo clients, unmodified, on the virtual bus'
 	@echo 'make lerobot       the programs of LeRobot, unmodified, on simulated arms (5 GB, Python 3.12)'
 	@echo 'make test-opencv4  the camera tests with OpenCV 4, in a second environment'
-	@echo 'make test-mujoco3  model, kernel, solver, hardware and figure tests with MuJoCo 3, in another one'
+	@echo 'make test-mujoco3  model, kernel, solver, hardware and figure tests with MuJoCo 3, in another environment'
 	@echo 'make bench-camera  the accuracy and speed of the camera (ARGS="--quick --rows marker board")'
 	@echo 'make wheel         build wheel and sdist into dist/ and try both in an empty environment'
-	@echo 'make constraints   look for new versions of everything: rewrites constraints.txt'
-	@echo 'make clean         remove what was built, and the environments'
+	@echo 'make constraints   rewrite constraints.txt with the newest versions'
+	@echo 'make clean         remove build files and environments'
 	@echo
 	@echo 'PYTHON=python3.12 chooses the interpreter of .venv.'
 
@@ -61,7 +61,7 @@ reach: $(STAMP)
 	@$(PY) -m robot_ik reach $(ARGS)
 
 # Real-time tests of servos fail where three workers share two cores.
-# A file is one worker's, so that what it compiles and opens is its own.
+# All tests of a file run in one worker, so that files do not share compiled code and open devices.
 WORKERS := 2
 test: $(STAMP)
 	@$(PY) -m pytest -n $(WORKERS) --dist loadfile $(ARGS)
@@ -72,18 +72,18 @@ explore: $(STAMP)
 soak: $(STAMP)
 	@$(PY) -m pytest -m soak --timeout 3600 $(ARGS)
 
-# atheris is no dependency: it has wheels for Linux only.  First what is quick, then servos and arm.
+# atheris is not a dependency, because it has wheels for Linux only. The fast targets come first.
 fuzz: $(STAMP)
 	@test -d $(VENV)/fuzz || $(PY) -m pip install --quiet --disable-pip-version-check --target $(VENV)/fuzz atheris
 	@PYTHONPATH=$(VENV)/fuzz $(PY) tests/fuzz/fuzz_codec.py --law codec servo_parser host_parser fast_parser driver $(ARGS)
 	@PYTHONPATH=$(VENV)/fuzz $(PY) tests/fuzz/fuzz_codec.py --law servos arm $(ARGS)
 
-# Clients of other people, in an environment of their own: they are not dependencies.
+# Third-party clients, in their own environment, because they are not dependencies.
 strangers: $(STAMP)
 	@PYTHON=$(PY) tests/strangers/install .venv-strangers
 	@$(PY) -m pytest tests/strangers/check_clients.py $(ARGS)
 
-# LeRobot's own programs on simulated arms, in an environment of their own with PyTorch. It needs Python 3.12.
+# The programs of LeRobot on simulated arms, in their own environment with PyTorch. It needs Python 3.12.
 lerobot:
 	@tests/lerobot/programs/install .venv-lerobot
 	@cd tests/lerobot/programs && ../../../.venv-lerobot/bin/python -m pytest --noconftest -p no:robot_ik.pytest_plugin \
@@ -104,7 +104,7 @@ imports: $(STAMP)
 format: $(STAMP)
 	@$(PY) .ci/check_style.py --format
 
-# -E reads every page anew, -W makes a warning an error.
+# -E reads every page again, -W makes a warning an error.
 docs: $(DOCS_STAMP)
 	@$(PY) -m sphinx -E -W --keep-going -q -d build/doctrees -c docs . build/site
 	@echo 'build/site/index.html'
@@ -117,14 +117,14 @@ wheel: $(STAMP)
 test-opencv4: $(STAMP4)
 	@ROBOT_IK_REQUIRE="$${ROBOT_IK_REQUIRE:+$$ROBOT_IK_REQUIRE,}opencv4" .venv-opencv4/bin/python -m pytest tests/camera $(ARGS)
 
-# The parts that call MuJoCo. Files that only measure the compiler or the clock are left to `make test`.
+# The parts that call MuJoCo. Only `make test` runs the files that measure only the compiler or the clock.
 MUJOCO3_TESTS := tests/models tests/kernels/test_kinematics.py tests/kernels/test_residuals.py tests/kernels/test_second_order.py \
 	tests/solvers/test_laws.py tests/solvers/analytic tests/hardware/test_simulated.py tests/hardware/test_bus_contract.py \
 	tests/hardware/test_arms_people_own.py tests/hardware/virtual/test_world.py tests/figure
 test-mujoco3: $(STAMP_MUJOCO3)
 	@.venv-mujoco3/bin/python -m pytest -n $(WORKERS) --dist loadfile $(MUJOCO3_TESTS) $(ARGS)
 
-# --universal: one file for every system and Python; nothing of this machine (index, folder, local version) gets in.
+# --universal: one file for every system and Python; without index, folder or local versions of this machine.
 constraints: $(STAMP)
 	@$(PY) -m venv $(VENV)/uv
 	@$(VENV)/uv/bin/python -m pip install --quiet --disable-pip-version-check uv
@@ -148,14 +148,14 @@ $(DOCS_STAMP): $(STAMP)
 	@$(PY) -m pip install --quiet --disable-pip-version-check --no-build-isolation --constraint constraints.txt --editable '.[docs]'
 	@touch $@
 
-# The same versions but for OpenCV; without the extras that no camera test opens.
+# The same versions except OpenCV, without the extras that no camera test uses.
 $(STAMP4): pyproject.toml constraints.txt $(MAKE_VENV) $(STALE4)
 	@mkdir -p build
 	@sed 's/^\(opencv-contrib-python-headless\)==.*/\1<5/' constraints.txt > build/constraints-opencv4.txt
 	@$(MAKE_VENV) .venv-opencv4 build/constraints-opencv4.txt '.[video,dev]'
 	@printf '%s\n' '$(CURDIR)' > $@
 
-# The same versions but for MuJoCo, which is one package before 4. Its version is the last of series 3.
+# The same versions except MuJoCo, which is one package before 4. Its version is the last of series 3.
 $(STAMP_MUJOCO3): pyproject.toml constraints.txt $(MAKE_VENV) $(STALE_MUJOCO3)
 	@mkdir -p build
 	@sed -e 's/^mujoco==.*/mujoco==3.17.0/' -e '/^mujoco-core==/d' -e '/^mujoco-studio==/d' constraints.txt > build/constraints-mujoco3.txt

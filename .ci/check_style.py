@@ -1,9 +1,6 @@
 """Check the style of the source files. `make lint` calls it without options.
 
-A file must follow the rules in pyproject.toml (ruff check and ruff format) and the rules below.
-The files named in style_exceptions.txt predate these rules. They are checked with the earlier
-ones: lines of at most 110 characters, unused arguments allowed, and none of the rules below. An
-entry is an error once its file follows all rules or no longer exists, so the list only shrinks.
+Every file must follow the rules in pyproject.toml (ruff check and ruff format) and these:
 
 | rule | what is rejected |
 |---|---|
@@ -13,8 +10,7 @@ entry is an error once its file follows all rules or no longer exists, so the li
 
 Usage:
     python .ci/check_style.py             check all files
-    python .ci/check_style.py --update    remove entries that are no longer needed
-    python .ci/check_style.py --format    mend what ruff can mend, each file by its own rules
+    python .ci/check_style.py --format    apply the fixes of ruff and format all files
 """
 
 from __future__ import annotations
@@ -27,28 +23,21 @@ import subprocess
 import sys
 import tokenize
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-EXCEPTIONS = Path(".ci/style_exceptions.txt")
-#: Line length of the files in the list of exceptions, in characters.
-OLD_LINE_LENGTH = 110
-#: Rules that do not hold for the files in the list of exceptions.
-NEW_RULES = ("ARG", "STY")
-#: Rules about the layout. For a listed file, that of either line length is accepted.
-LAYOUT_RULES = ("FMT", "I001")
-#: A table needs this many numbers before its own layout is worth more than that of the formatter.
+#: Smallest number of numbers in a table that may have its own layout.
 TABLE_NUMBERS = 4
 
 ADVICE = {
     "ARG": "remove the argument, or start its name with an underscore if a caller passes it",
     "D": "write a Google docstring: one summary line, then Args, Returns and Raises",
     "E501": "break the line; `make format` breaks code, text and comments are broken by hand",
-    "E70": "write one statement a line",
+    "E70": "write one statement per line",
     "FMT": "run `make format`",
     "I001": "run `make format`",
-    "STY001": "write one assignment a line",
+    "STY001": "write one assignment per line",
     "STY002": "remove the banner; split the file if it needs headings",
     "STY003": "remove the comment and let the formatter lay the statement out",
 }
@@ -60,7 +49,7 @@ _RUFF_LINE = re.compile(r"(?P<path>.+?):(?P<line>\d+):\d+: (?P<rule>[A-Z]+\d+|[\
 
 @dataclass(frozen=True, order=True)
 class Finding:
-    """One place that does not follow a rule. Line 0 stands for the whole file."""
+    """One violation of a rule. Line 0 means the whole file."""
 
     path: str
     line: int
@@ -73,7 +62,7 @@ class Finding:
 
 
 def check_source(path: str, source: str) -> list[Finding]:
-    """Return what the rules STY001 to STY003 find in the text of one Python file."""
+    """Return the findings of the rules STY001 to STY003 in the text of one Python file."""
     tree = ast.parse(source, filename=path)
     findings = [
         Finding(path, node.lineno, "STY001", "several values are assigned in one statement")
@@ -223,54 +212,15 @@ def _is_arithmetic(node: ast.expr) -> bool:
     return all(isinstance(part, allowed) for part in ast.walk(node)) and not any(text)
 
 
-@dataclass
-class Report:
-    """What a run of the checks found."""
-
-    #: Findings that must be mended, in files of either kind.
-    findings: list[Finding] = field(default_factory=list)
-    #: Entries of the list whose files follow all rules.
-    followed: list[str] = field(default_factory=list)
-    #: Entries of the list without a file.
-    missing: list[str] = field(default_factory=list)
-
-
 class Checker:
     """Runs ruff and the rules of this file over a checkout."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
-        self.exceptions = root / EXCEPTIONS
 
-    def listed(self) -> list[str]:
-        """Return the paths in the list of exceptions."""
-        if not self.exceptions.is_file():
-            return []
-        lines = self.exceptions.read_text(encoding="utf-8").splitlines()
-        return [line for line in lines if line and not line.startswith("#")]
-
-    def check(self) -> Report:
-        """Check every file by its own rules."""
-        new = self.new_findings()
-        broken = {finding.path for finding in new}
-        listed = set(self.listed())
-        present = {path for path in listed if (self.root / path).is_file()}
-
-        report = Report()
-        report.missing = sorted(listed - present)
-        report.followed = sorted(present - broken)
-        report.findings = [finding for finding in new if finding.path not in listed]
-        layouts = {(f.path, f.rule) for f in new if f.rule in LAYOUT_RULES}
-        for finding in self.old_findings(sorted(present & broken)):
-            if finding.rule in LAYOUT_RULES and (finding.path, finding.rule) not in layouts:
-                continue
-            report.findings.append(finding)
-        report.findings.sort()
-        return report
-
-    def new_findings(self) -> list[Finding]:
-        """Return what does not follow the rules of today, in all files, listed or not."""
-        findings = [*self._ruff_check([]), *self._ruff_format([])]
+    def check(self) -> list[Finding]:
+        """Return the findings in all files."""
+        findings = [*self._ruff_check(), *self._ruff_format()]
         for path in self._ruff("check", "--show-files", "."):
             name = (
                 Path(path).relative_to(self.root).as_posix() if Path(path).is_absolute() else path
@@ -281,45 +231,21 @@ class Checker:
                     findings += check_source(name, source)
                 except (SyntaxError, UnicodeDecodeError):
                     continue  # ruff reports it
-        return findings
-
-    def old_findings(self, paths: Sequence[str]) -> list[Finding]:
-        """Return what does not follow the earlier rules, in the files of the list."""
-        if not paths:
-            return []
-        length = ["--line-length", str(OLD_LINE_LENGTH)]
-        findings = [*self._ruff_check([*length, *paths]), *self._ruff_format([*length, *paths])]
-        return [finding for finding in findings if not finding.rule.startswith(NEW_RULES)]
-
-    def update(self) -> list[str]:
-        """Remove the entries that are no longer needed and return them."""
-        report = self.check()
-        removed = {*report.followed, *report.missing}
-        lines = self.exceptions.read_text(encoding="utf-8").splitlines(keepends=True)
-        kept = [line for line in lines if line.strip() not in removed]
-        if removed:
-            self.exceptions.write_text("".join(kept), encoding="utf-8")
-        return sorted(removed)
+        return sorted(findings)
 
     def format(self) -> None:
-        """Mend what ruff can mend and lay out the files that need it, each by its line length."""
-        listed = set(self.listed())
-        paths = sorted({finding.path for finding in self.check().findings})
-        old_length = ["--line-length", str(OLD_LINE_LENGTH)]
-        for options, is_listed in (([], False), (old_length, True)):
-            chosen = [path for path in paths if (path in listed) == is_listed]
-            if chosen:
-                self._ruff("check", "--fix", *options, *chosen)
-                self._ruff("format", *options, *chosen)
+        """Apply the fixes of ruff and format all files."""
+        self._ruff("check", "--fix")
+        self._ruff("format")
 
-    def _ruff_check(self, arguments: Sequence[str]) -> Iterator[Finding]:
-        for line in self._ruff("check", "--no-fix", "--output-format=concise", *arguments):
+    def _ruff_check(self) -> Iterator[Finding]:
+        for line in self._ruff("check", "--no-fix", "--output-format=concise"):
             if found := _RUFF_LINE.fullmatch(line):
                 path = found["path"]
                 yield Finding(path, int(found["line"]), found["rule"], found["text"].strip(" :"))
 
-    def _ruff_format(self, arguments: Sequence[str]) -> Iterator[Finding]:
-        for line in self._ruff("format", "--check", "--output-format=concise", *arguments):
+    def _ruff_format(self) -> Iterator[Finding]:
+        for line in self._ruff("format", "--check", "--output-format=concise"):
             if (found := _RUFF_LINE.fullmatch(line)) and found["rule"] == "unformatted":
                 text = "the layout is not that of the formatter"
                 yield Finding(found["path"], int(found["line"]), "FMT", text)
@@ -333,7 +259,7 @@ class Checker:
 
 
 def advice(rules: set[str]) -> list[str]:
-    """Return what to write instead, for the rules that were found."""
+    """Return advice for the rules that were found."""
     return [
         f"  {start}: {text}"
         for start, text in ADVICE.items()
@@ -344,31 +270,20 @@ def advice(rules: set[str]) -> list[str]:
 def main(arguments: Sequence[str], root: Path = ROOT) -> int:
     """Run the command and return its exit code."""
     parser = argparse.ArgumentParser(description="Check the style of the source files.")
-    parser.add_argument("--update", action="store_true", help="remove entries that are not needed")
-    parser.add_argument("--format", action="store_true", help="lay out all files")
+    parser.add_argument("--format", action="store_true", help="format all files")
     options = parser.parse_args(arguments)
     checker = Checker(root)
     if options.format:
         checker.format()
         return 0
-    if options.update:
-        for path in checker.update():
-            print(f"{path}: taken off {EXCEPTIONS}")
-        return 0
 
-    report = checker.check()
-    for finding in report.findings:
+    findings = checker.check()
+    for finding in findings:
         print(finding)
-    for path in report.followed:
-        print(f"{path}: follows all rules and is still in {EXCEPTIONS}")
-    for path in report.missing:
-        print(f"{path}: does not exist and is still in {EXCEPTIONS}")
-    if rows := advice({finding.rule for finding in report.findings}):
+    if rows := advice({finding.rule for finding in findings}):
         print("What to write instead:")
         print("\n".join(rows))
-    if report.followed or report.missing:
-        print("Run: python .ci/check_style.py --update")
-    return 1 if report.findings or report.followed or report.missing else 0
+    return 1 if findings else 0
 
 
 if __name__ == "__main__":

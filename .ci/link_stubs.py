@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 def main(folder: Path) -> None:
-    """Make ``folder`` anew, with one link for each module that has the suffix of stubs."""
+    """Replace ``folder``, with one link for each module that has the suffix of stubs."""
     mapping = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"][
         "package-dir"
     ]

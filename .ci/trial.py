@@ -1,4 +1,4 @@
-"""Check that an installed robot_ik is complete, in an environment that holds nothing else.
+"""Check that an installed robot_ik is complete, in an environment without other packages.
 
 Usage: python -I .ci/trial.py '{"version": "0.1.0", "data": ["puma560/robot.toml", ...]}'
 """

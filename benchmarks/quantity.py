@@ -8,14 +8,15 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Quantity:
-    """One measured number, and what is wanted of it.
+    """One measured number and its limits.
 
     Attributes:
         quantity: What was measured.
-        value: NaN where it was not.
-        unit: Of value and bounds.
-        most, least: The bounds that are wanted; None where there is none.
-        missing: Why it was not measured.
+        value: NaN if it was not measured.
+        unit: Unit of the value and the limits.
+        most: Upper limit. None: no limit.
+        least: Lower limit. None: no limit.
+        missing: Reason why it was not measured.
     """
 
     quantity: str
@@ -27,7 +28,7 @@ class Quantity:
 
     @property
     def passed(self) -> bool | None:
-        """Whether the value is as wanted; None where nothing is wanted, or nothing was measured."""
+        """Whether the value is within its limits. None without limits or without a value."""
         if self.missing or (self.most is None and self.least is None):
             return None
         return (self.most is None or self.value <= self.most) and (
@@ -35,20 +36,21 @@ class Quantity:
         )
 
     def facts(self) -> dict[str, Any]:
-        """For JSON."""
+        """The fields and ``passed`` for JSON."""
         return asdict(self) | {"passed": self.passed}
 
     @property
     def measured_text(self) -> str:
-        """Value and unit: whole numbers as they are, others with three figures."""
+        """Value and unit: integers in full, other numbers with three digits."""
         if self.missing:
             return f"not measured: {self.missing}"
-        whole = abs(self.value) >= 1000.0 or (not self.unit and self.value == round(self.value))
-        return f"{self.value:{'.0f' if whole else '.3g'}} {self.unit}".strip()
+        is_integer = not self.unit and self.value == round(self.value)
+        format_code = ".0f" if is_integer or abs(self.value) >= 1000.0 else ".3g"
+        return f"{self.value:{format_code}} {self.unit}".strip()
 
     @property
     def wanted_text(self) -> str:
-        """The bounds with sign and unit; empty where there are none."""
+        """The limits with sign and unit. Empty without limits."""
         if self.most is not None and self.least is not None:
             return f"{self.least:g} … {self.most:g} {self.unit}".strip()
         bound = self.least if self.most is None else self.most

@@ -20,7 +20,7 @@ MARKS = {
 
 
 def show_quantities(head: str, rows: Iterable[tuple[str, Quantity]], *remarks: str) -> None:
-    """Print measured quantities beside their limits, and how many are within.
+    """Print measured quantities with their limits, and the number within the limits.
 
     Args:
         head: Head of the column of names.
@@ -45,4 +45,4 @@ def show_quantities(head: str, rows: Iterable[tuple[str, Quantity]], *remarks: s
         previous = name
     console = open_console(sys.stdout)
     console.print(table(head, "quantity", "measured", "wanted", "", rows=cells))
-    console.print("; ".join([f"{sum(judged)} of {len(judged)} as wanted", *remarks]))
+    console.print("; ".join([f"{sum(judged)} of {len(judged)} within limits", *remarks]))

@@ -24,7 +24,7 @@ def goals(lion: rik.Robot, ball: tuple[float, ...] = BALL) -> dict[str, rik.Goal
     paws = {f"{paw} stays": rik.PoseGoal.at(paw, lion.forward(home, paw)) for paw in STANDING}
     parts = {
         part: rik.PostureGoal(
-            q=home, joints=dict.fromkeys(lion.file.groups[part], 1.0), only=True, priority=4
+            q=home, joints=dict.fromkeys(lion.file.groups[part], 1.0), only_named=True, priority=4
         )
         for part in ("spine", "tail", "neck", "legs")
     }

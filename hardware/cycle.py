@@ -428,6 +428,6 @@ class Cycle:
             port=self._bus.port,
             joint=drive.name,
             last_good=age if math.isfinite(age) else None,
-            everyone=True,
+            all_servos=True,
             hint=f"check their power, the cable and the adapter; {KEEPS_TORQUE}",
         )

@@ -51,8 +51,8 @@ def torque_on(bus: ServoBus, config: ArmConfig, goals: Mapping[int, int]) -> Non
         goals: Servo id -> ticks.
 
     Raises:
-        HardwareError: A servo did not take its goal, counts anew or restarted meanwhile.  Torque
-            may be on then, so the caller switches it off.
+        HardwareError: A servo did not take its goal, counts from another revolution, or restarted
+            meanwhile.  Torque may be on then, so the caller switches it off.
         MotorFaultError: A servo refuses torque, by joint and with its hardware error.
     """
     failed = sync_set(bus, config, "goal_position", goals)
@@ -75,7 +75,7 @@ def torque_on(bus: ServoBus, config: ArmConfig, goals: Mapping[int, int]) -> Non
         if abs(after - before) > REBASE_TICKS:
             raise HardwareError(
                 f"joint {drive.name!r} read {before} ticks before torque came on and {after} after",
-                hint="a servo may count its revolutions anew when torque comes on: check "
+                hint="a servo may restart its count of revolutions when torque comes on: check "
                 "zero_ticks",
             )
     # A servo that restarted between the last check and its torque has no speed limit now.

@@ -15,7 +15,7 @@ from robot_ik.goals import Goal
 from robot_ik.model import qpos_addresses
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot, require_robot
-from robot_ik.solvers.analytic import SERVED
+from robot_ik.solvers.analytic import SUPPORTED
 from robot_ik.solvers.analytic.branch import Branch, listed_branches
 
 
@@ -30,7 +30,7 @@ def solve_all(
 ) -> tuple[Branch, ...]:
     """Return every branch with which the closed form meets a goal, nearest to ``start`` first.
 
-    It serves arms of two parallel hinges for a position, arms of five hinges (pan, three parallel
+    It supports arms of two parallel hinges for a position, arms of five hinges (pan, three parallel
     pitch axes, roll) for a pose, and arms of six hinges with a spherical wrist or shoulder, with
     three parallel axes, or with a spherical shoulder and two last axes that meet, for a pose. At a
     singular pose one joint angle is free; it stays as near to ``start`` as possible.
@@ -67,7 +67,7 @@ def solve_all(
         problem = Problem(robot, goal, solver="analytic")
     except UnsupportedGoalError as error:
         error.able = ()
-        error.hint = f"solve_all serves {SERVED}; solve(…) finds one solution for any arm"
+        error.hint = f"solve_all supports {SUPPORTED}; solve(…) finds one solution for any arm"
         raise
     branches = listed_branches(robot, problem.branches(origin), origin, limits=limits)
     return branches if collisions is None else _measured(branches, collisions)

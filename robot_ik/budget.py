@@ -21,7 +21,7 @@ class Budget:
     Attributes:
         iterations: Steps of all descents together.
         seconds: Wall-clock limit; None for none.
-        restarts: Random restarts; None for the solver's own number.
+        restarts: Random restarts; None for the default of the solver.
     """
 
     iterations: int = 20_000

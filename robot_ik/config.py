@@ -1,4 +1,4 @@
-"""Files written by people: TOML, JSON and CSV are read, and their tables are checked.
+"""Reading of files that people write (TOML, JSON and CSV), and checks of their tables.
 
 All errors are ``ConfigError`` with the file, the key, the allowed values and close names. A table
 is a pydantic model that derives from ``Table``.
@@ -32,10 +32,10 @@ from pydantic_core import ErrorDetails
 from robot_ik.errors import ConfigError, did_you_mean
 
 LARGEST_FILE = 256 * 2**20
-"""Bytes. A recording of one hour has a tenth of it."""
+"""Bytes. A recording of one hour needs a tenth of this."""
 
 LARGEST_NUMBER = 1e15
-"""In any unit. A double beyond it does not resolve 0.1."""
+"""In any unit. A larger double does not resolve 0.1."""
 
 MAXIMUM_DEPTH = 32
 """Levels of nested tables and lists. The deepest file of this package has six."""
@@ -54,7 +54,7 @@ def read_text(path: Path, what: str, hint: str = "", *, errors: str = "strict") 
         path: The file.
         what: The kind of file, for the message: "the arm file".
         hint: What to try if the file cannot be read.
-        errors: What to do with bytes that are not UTF-8, as for ``bytes.decode``.
+        errors: Treatment of bytes that are not UTF-8, as for ``bytes.decode``.
 
     Raises:
         ConfigError: The file is missing, not readable, too large, or not text.
@@ -215,7 +215,7 @@ class KeyProblem(ValueError):
         return KeyProblem(self.problem, key, self.allowed, self.hint)
 
     def in_file(self, file: Path | str) -> ConfigError:
-        """Return the error for a person."""
+        """Return the ``ConfigError`` of this problem in a file."""
         return ConfigError(
             self.problem, file=file, key=self.key, allowed=self.allowed, hint=self.hint
         )
@@ -379,7 +379,7 @@ def _allowed_text(detail: ErrorDetails) -> str:
 def _field_text(field: FieldInfo) -> str:
     """Return the description of a key, else its range (``0..252``), else an empty text."""
     rows: list[Any] = [field]
-    for part in get_args(field.annotation):  # of an optional key: its other type
+    for part in get_args(field.annotation):  # an optional key has its type beside None
         rows += getattr(part, "__metadata__", ())
     for row in rows:
         if getattr(row, "description", None):

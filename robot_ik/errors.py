@@ -140,7 +140,7 @@ class RobotIkError(Exception):
     """Root of all errors of this package.
 
     Attributes:
-        hint: What to try. Empty if nothing can be said.
+        hint: What to try. Empty if there is no advice.
     """
 
     def __init__(self, message: str, *, hint: str = "") -> None:
@@ -254,7 +254,7 @@ class MissingExtraError(RobotIkError, ImportError):
 
 
 class ViewerError(RobotIkError):
-    """A window cannot be opened. The hint says what to run instead."""
+    """A window cannot be opened. The hint names an alternative command."""
 
 
 class OutputError(RobotIkError, OSError):
@@ -286,7 +286,7 @@ class BusTimeoutError(HardwareError):
         port: The port.
         joint: Name of the joint, if known.
         last_good: Seconds since the last reply. None if the servo never answered.
-        everyone: Whether no servo of the bus answers.
+        all_servos: Whether no servo of the bus answers.
     """
 
     def __init__(
@@ -297,7 +297,7 @@ class BusTimeoutError(HardwareError):
         port: str,
         joint: str = "",
         last_good: float | None = None,
-        everyone: bool = False,
+        all_servos: bool = False,
         hint: str = "check power, cable, id and baud rate",
     ) -> None:
         self.id = id
@@ -305,9 +305,9 @@ class BusTimeoutError(HardwareError):
         self.port = port
         self.joint = joint
         self.last_good = last_good
-        self.everyone = everyone
+        self.all_servos = all_servos
         when = "it never answered" if last_good is None else f"last answer {last_good:.2f} s ago"
-        if everyone:
+        if all_servos:
             text = f"no servo answers on {port}"
         else:
             text = f"no answer from {_servo(id, joint)} on {port} ({register})"
@@ -373,7 +373,7 @@ class ServoMismatchError(HardwareError):
 
 
 class MotorFaultError(HardwareError):
-    """A servo has shut down, or the arm has latched a fault.
+    """A servo has shut down, or the arm is in its latched fault state.
 
     Attributes:
         joint: Name of the joint.
@@ -552,8 +552,9 @@ class UnsupportedGoalError(GoalError):
         self.solver = solver
         self.goal = goal
         self.able = tuple(able)
-        hint = f"these can: {', '.join(self.able)}" if self.able else "no solver can yet"
-        super().__init__(f"solver {solver!r} cannot serve {goal}", hint=hint)
+        names = ", ".join(self.able)
+        hint = f"these solvers do: {names}" if names else "no solver supports it yet"
+        super().__init__(f"solver {solver!r} does not support {goal}", hint=hint)
 
 
 class ProblemInUseError(RobotIkError):
@@ -562,7 +563,7 @@ class ProblemInUseError(RobotIkError):
     def __init__(self) -> None:
         super().__init__(
             "this Problem is being solved by another thread: its arrays are in use",
-            hint="give each thread its own Problem (copy.copy(problem)), or let them take turns",
+            hint="give each thread a Problem of its own (copy.copy(problem)), or use a lock",
         )
 
 
@@ -610,7 +611,7 @@ class MotionBlockedError(TrajectoryError, CollisionError):
         self.q = q
         if time > 0.0:
             text = f"{contact_text(pair, distance, margin)} at {time:.2f} s"
-            hint = "move round it, or give the pair as ignore if they may touch"
+            hint = "move around it, or give the pair as ignore if they may touch"
         else:
             text = f"{contact_text(pair, distance, margin)} at the start"
             hint = "move these parts apart first, or give the pair as ignore if they may touch"

@@ -1,9 +1,8 @@
 """The run-time loops: ``execute`` plays a trajectory, ``follow`` follows goals.
 
-Both use absolute deadlines, so a delay below one period is caught up and delays never add up. After
-a longer delay the rest of the schedule moves, because two samples sent at once are a jump for a
-servo. An exception, KeyboardInterrupt too, leaves the loop at once and nothing more is sent. The
-exit policy of the arm decides what the arm does then.
+Both wait with a ``Schedule``, so delays do not add up. An exception, KeyboardInterrupt too, leaves
+the loop at once and nothing more is sent. The exit policy of the arm decides what the arm then
+does.
 """
 
 from __future__ import annotations
@@ -25,6 +24,7 @@ from robot_ik.motion.sources import Goals
 from robot_ik.motion.trajectory import Trajectory, joint_vector, motion_limits, require_positive
 from robot_ik.ports import Array, Clock, GoalSource, JointSink, JointSource, RealClock
 from robot_ik.problem import Problem, check_arguments
+from robot_ik.schedule import Schedule, regular
 from robot_ik.solvers import make_solver
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ BETTER_PERIOD = 0.2
 """Seconds between searches for a branch with a better orientation."""
 
 BETTER_ANGLE = math.radians(1.0)
-"""rad. A branch is better if its orientation is nearer by this."""
+"""rad. A branch is better if its orientation error is smaller by this."""
 
 SAME_POSITION = 1e-6
 """m. Positions whose errors differ by less are equally near."""
@@ -155,8 +155,9 @@ class FollowTick:
         solution: The solution. None while the position is kept.
         q: The command (nq,): towards ``solution.q``, as far as the joints may move in one period.
         capped: Whether the command stopped short of ``solution.q``.
-        better: A solution on another branch whose orientation is nearer by ``BETTER_ANGLE`` or
-            more. It is searched a few times a second, and only for arms with five joints.
+        better: A solution on another branch whose orientation error is smaller by
+            ``BETTER_ANGLE`` or more. It is searched a few times a second, and only for arms with
+            five joints.
         measured: The measured joint angles (nq,) after the command. None without a source.
     """
 
@@ -184,7 +185,7 @@ class FollowReport:
         statuses: Number of solutions by the name of their ``Status``.
         duration: Seconds from the first tick to the last.
         overruns: Number of ticks that were late by a period or more.
-        last: The last solution. None if there never was a goal.
+        last: The last solution. None if the source never gave a goal.
         better: The last ``FollowTick.better`` that is not None.
         tracking_error: Largest distance (nq,) of measured from commanded. None without a source.
     """
@@ -220,29 +221,6 @@ class FollowReport:
         return self.statuses.get("CONVERGED", 0)
 
 
-class Schedule:
-    """Deadlines one period apart that move after a long delay instead of bunching up.
-
-    Attributes:
-        overruns: Number of ticks that were late by a period or more.
-    """
-
-    def __init__(self, clock: Clock) -> None:
-        self.clock = clock
-        self.origin = clock.now()
-        self.overruns = 0
-
-    def wait(self, due: float, period: float) -> float:
-        """Sleep until ``due`` seconds after the origin, and return the time on the clock."""
-        self.clock.sleep_until(self.origin + due)
-        now = self.clock.now()
-        late = now - (self.origin + due)
-        if period > 0.0 and late >= period:
-            self.overruns += 1
-            self.origin += late
-        return now
-
-
 def clock_of(clock: Clock | None, source: JointSource | None, sinks: Sequence[JointSink]) -> Clock:
     """Return the given clock, else the clock of the arm, else the clock of the machine.
 
@@ -271,7 +249,7 @@ def execute(
 
     Args:
         trajectory: The trajectory. Each sample is one tick.
-        sinks: Each gets each sample, in order. ``q`` is read-only.
+        sinks: Each sink receives each sample, in order. ``q`` is read-only.
         source: Usually the arm. It is read once before the start and after every tick.
         clock: None takes the clock of an arm among ``source`` and ``sinks``, else the machine's.
         on_tick: Called after each tick. It must be quick.
@@ -296,9 +274,9 @@ def execute(
     times = np.zeros(count)
     measured = np.zeros(commanded.shape)
     measured_times = np.zeros(count)
-    begin = schedule.origin
-    for k, q in enumerate(commanded):
-        now = schedule.wait(due[k], due[k] - due[k - 1] if k else 0.0)
+    begin = 0.0
+    samples = zip(due.tolist(), commanded, strict=True)
+    for k, (now, q) in enumerate(schedule.ticks(samples)):
         if k == 0:
             begin = now
         times[k] = now - begin
@@ -395,10 +373,10 @@ def follow(
     has a better orientation. ``FollowTick.better`` is the pose of that branch.
 
     With ``collisions`` each tick is one step of differential inverse kinematics that keeps the
-    margin: the joints slow down in front of an obstacle and slide along it, and give way to an
+    margin: the joints slow down in front of an obstacle and slide along it, and move away from an
     obstacle that comes nearer (``scene.move``). ``solver`` is not used then. The status of a tick
-    is ITERATION_LIMIT on the way, CONVERGED at the goal, and BLOCKED_BY_COLLISION where collisions
-    hold every step back.
+    is CONVERGED at the goal, BLOCKED_BY_COLLISION if collisions hold every step back, and otherwise
+    ITERATION_LIMIT.
 
     Goals may change their targets and weights in each tick. A goal of another kind or frame, or
     with a weight that becomes zero or was zero, builds a new problem, which compiles its method
@@ -407,7 +385,7 @@ def follow(
     Args:
         robot: From ``load_robot``.
         goals: Where goals come from. None from it repeats the last command.
-        sinks: Each gets each command, in order; ``q`` is read-only.
+        sinks: Each sink receives each command, in order. ``q`` is read-only.
         solver: A name in ``SOLVERS`` or a solver.
         start: (nq,) where the arm is; None reads it from ``source`` once, unclipped.
         tolerance: When a solution counts as converged.
@@ -417,7 +395,7 @@ def follow(
         speed: Part of the velocity limits to use, above 0 and up to 1.
         until: Called after each tick; True ends the loop.
         source: Usually the arm: read after every tick.
-        on_tick: Called after each tick; must be quick.
+        on_tick: Called after each tick. It must be quick.
         collisions: Condition that every command must keep.
         **options: Options of the solver by name.
 
@@ -446,10 +424,9 @@ def follow(
     following = _FollowState(robot, method, tolerance, first, largest_step, rate, collisions)
     report = following.report
     schedule = Schedule(clock)
-    begin = schedule.origin
-    while True:
-        now = schedule.wait(report.ticks / rate, 1.0 / rate if report.ticks else 0.0)
-        if report.ticks == 0:
+    begin = 0.0
+    for now, k in schedule.ticks(regular(rate, count)):
+        if k == 0:
             begin = now
         goal = goals.poll(now)
         solution, capped = following.step(goal)
@@ -459,13 +436,12 @@ def follow(
         measured = None if source is None else following.compare(source.read().q)
         report.duration = now - begin
         report.overruns = schedule.overruns
-        tick = FollowTick(
-            report.ticks - 1, now - begin, goal, solution, report.q, capped, measured, better
-        )
+        tick = FollowTick(k, now - begin, goal, solution, report.q, capped, measured, better)
         if on_tick is not None:
             on_tick(tick)
-        if report.ticks == count or (until is not None and until(tick)):
-            return report
+        if until is not None and until(tick):
+            break
+    return report
 
 
 class _FollowState:
@@ -485,7 +461,7 @@ class _FollowState:
         self._collisions = collisions
         self._limited: LimitedStep | None = None
         if collisions is not None:
-            # Here: it loads the compiled collision checks, 0.05 s that few callers need.
+            # Imported here, because it loads the compiled collision checks: 0.05 s.
             from robot_ik.collision.avoidance import require_same_robot
 
             require_same_robot(robot, collisions)
@@ -520,7 +496,7 @@ class _FollowState:
             )
         self._kinds = kinds
         if self._collisions is not None:
-            # Here: it loads the compiled collision checks, 0.05 s that few callers need.
+            # Imported here, because it loads the compiled collision checks: 0.05 s.
             from robot_ik.solvers.limited_step import LimitedStep
 
             self._limited = LimitedStep(self._problem, self._collisions, self._largest_allowed)
@@ -556,7 +532,7 @@ class _FollowState:
         return solution, is_capped
 
     def better_branch(self, solution: Solution | None) -> Solution | None:
-        """Return a solution on another branch with a clearly nearer orientation, or None."""
+        """Return a solution on another branch with a smaller orientation error, or None."""
         report = self.report
         if self._search is None or solution is None:
             return None
@@ -579,7 +555,7 @@ class _FollowState:
 
 
 def _frozen(q: ArrayLike) -> Array:
-    """Return a read-only copy, because a sink that wrote into it would move the arm."""
+    """Return a read-only copy. A sink that wrote into the command would move the arm."""
     copy = np.array(q, dtype=float)
     copy.flags.writeable = False
     return copy

@@ -1,4 +1,4 @@
-"""Files are written completely or not at all. Values are converted to JSON and TOML."""
+"""Writing files completely or not at all, and converting values to JSON and TOML."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import Any
 from robot_ik.errors import OutputError
 
 FILE_MODE = 0o644
-"""Permissions of written files: everybody may read them."""
+"""Permissions of written files: all users may read them."""
 
 
 def timestamp() -> str:
@@ -48,7 +48,7 @@ def write_atomically(path: Path, content: str | bytes) -> None:
 
 
 def make_folder(path: Path) -> Path:
-    """Make a folder and its parents, and check that files can be written to it.
+    """Create a folder and its parents, and check that files can be written to it.
 
     Raises:
         OutputError: The folder cannot be made, or no file can be written to it.
@@ -73,7 +73,7 @@ def unwritable(path: Path, error: OSError) -> OutputError:
         hint = "give the name of a folder, or a new name"
     elif isinstance(error, FileNotFoundError) and not path.parent.is_dir():
         reason = f"there is no folder {path.parent}"
-        hint = "make the folder first, or give another one"
+        hint = "create the folder first, or give another one"
     elif isinstance(error, FileNotFoundError):  # in /proc
         folder = path if path.is_dir() else path.parent
         reason = f"no file can be made in {folder}"

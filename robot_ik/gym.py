@@ -45,7 +45,7 @@ THRESHOLD = 0.05
 """Distance to the goal that counts as success, m."""
 
 GOAL_RANGE = 0.15
-"""Reachable goals lie in a cube of this half edge around the tool's home position, m."""
+"""Reachable goals are in a cube around the tool's home position. Half of its edge, m."""
 
 BEYOND_REACH = (0.06, 0.14)
 """m. Unreachable goals are this much outside the ball that the tool cannot leave."""
@@ -54,13 +54,13 @@ MAX_STEPS = 50
 """Steps after which an episode is truncated."""
 
 UNLIMITED = 2.0 * np.pi
-"""Bound of the observation for joints without limits, rad."""
+"""Bound of the observation for joints without limits, rad or m."""
 
 BOUND_SLACK = 1e-6
 """The observation space is larger than the limits by this, for rounding."""
 
 IK_BUDGET = Budget(iterations=60, restarts=0)
-"""Effort of one step. A step that cannot be reached must not search."""
+"""Budget of one step. A step to an unreachable position must not search."""
 
 IK_TOLERANCE = Tolerance(position=1e-3)
 
@@ -80,7 +80,7 @@ Observation = dict[str, Array]
 
 
 class ReachModel:
-    """What the single and the batched environment share: spaces, goals, rewards and limits.
+    """Spaces, goals, rewards and limits of the single and the batched environment.
 
     Args:
         robot: Name of a bundled robot or path of a model, with hinges and slides only.
@@ -270,7 +270,7 @@ class ReachEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         """Return an RGB picture (height, width, 3). It needs no OpenGL."""
         if self.render_mode != "rgb_array":
             return None
-        # Here, because the camera's code is large and most environments are never drawn.
+        # Imported here, because the camera's code is large and most environments are never drawn.
         from robot_ik.camera.drawing.overlay import draw_robot
         from robot_ik.camera.intrinsics import CameraIntrinsics
 

@@ -1,4 +1,4 @@
-"""Reading a model file: MuJoCo's model, its frames, home pose, limits, and the compiled tree."""
+"""Reading a model file: MuJoCo's model, its frames, home pose and limits, and the compiled tree."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def read_model(
     """Read an MJCF or URDF file, such a text, or a spec.
 
     Joints without a name get the name ``joint_<id>``. A URDF keeps the frames of its fixed joints
-    unless it asks for ``fusestatic``.
+    unless it sets ``fusestatic``.
 
     Args:
         source: The file, text or spec. An ``MjModel`` is returned as given.
@@ -162,7 +162,7 @@ def read_spec(source: Path | str | mujoco.MjSpec, path: Path) -> tuple[mujoco.Mj
     folder = source.parent if isinstance(source, Path) else Path()
     urdf = None
     if "<robot" in text:
-        from robot_ik.urdf import Urdf  # here: it costs 6 ms, which an MJCF file does not need
+        from robot_ik.urdf import Urdf  # imported here: it takes 6 ms and MJCF does not need it
 
         urdf = Urdf.of_text(text, folder)
     if urdf is not None and urdf.problem[0]:
@@ -220,7 +220,7 @@ def _mujoco_errors(path: Path) -> Iterator[None]:
                 mujoco.set_mju_user_warning(handler)
     except (ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())
-        hint = "MJCF and URDF files are read; meshes must be where the file says"
+        hint = "MJCF and URDF files are read; meshes must be at the paths in the file"
         if "find decoder" in reason:
             hint = "the name of a model ends with .xml or .urdf; an arm file is for --arm"
         raise ModelError(
@@ -283,7 +283,7 @@ def _check_numbers(model: mujoco.MjModel, path: Path) -> None:
 
 
 def _check_ranges(model: mujoco.MjModel, path: Path) -> None:
-    """Raise ``ModelError`` for a joint with an empty range. MuJoCo takes most of them for none."""
+    """Raise ``ModelError`` for an empty joint range, which MuJoCo often reads as no limits."""
     for joint in range(model.njnt):
         lower, upper = model.jnt_range[joint].tolist()
         has_range = bool(model.jnt_limited[joint]) or lower != 0.0 or upper != 0.0

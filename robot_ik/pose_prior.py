@@ -249,7 +249,7 @@ class PosePrior:
         file = robot.folder / "assets" / "pose_prior.npz"
         if not file.is_file():
             raise ModelError(
-                f"no pose prior ships with {robot.name!r}",
+                f"no pose prior is bundled with {robot.name!r}",
                 path=robot.path,
                 hint="learn one from its motions: robot_ik.figure.motion.pose_prior.fit_pose_prior",
             )

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @pytest.fixture
 def virtual_arm_config() -> ArmConfig:
-    """The arm file: that of the desk arm.  Define a fixture of this name for another one."""
+    """Arm file of the desk arm. To test another arm, define a fixture of this name."""
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.robot_file import SERVO_ROBOT, catalogue
 
@@ -31,7 +31,7 @@ def virtual_arm_config() -> ArmConfig:
 
 @pytest.fixture
 def virtual_arm_start(virtual_arm_config: ArmConfig) -> dict[str, float] | None:
-    """Joint -> rad or m at first: the home of the robot, or zeros if its model is not at hand."""
+    """Initial joint values by name, rad or m: the robot's home, or zeros without its model."""
     from robot_ik.hardware.virtual.bus import home_of
 
     return home_of(virtual_arm_config)
@@ -43,10 +43,10 @@ def virtual_bus(
     virtual_arm_config: ArmConfig,
     virtual_arm_start: dict[str, float] | None,
 ) -> VirtualBus:
-    """The simulated servos: registers, shafts, faults.
+    """Simulated servos with registers, shafts and faults.
 
     Their time is virtual: it passes only during a sleep on ``virtual_bus.clock``. In a test that
-    uses ``virtual_port`` it is real.
+    uses ``virtual_port`` their time is real.
     """
     from robot_ik.hardware import simulated_servos
     from robot_ik.ports import RealClock, VirtualClock
@@ -57,7 +57,10 @@ def virtual_bus(
 
 @pytest.fixture
 def virtual_robot(virtual_arm_config: ArmConfig, virtual_bus: VirtualBus) -> Iterator[RobotArm]:
-    """A robot and its arm on these servos, enabled; left as its file says when the test ends."""
+    """A robot and its enabled arm on the simulated servos.
+
+    The end of the test applies the exit policy of the arm file.
+    """
     from robot_ik.robot_arm import open_robot
 
     config = virtual_arm_config
@@ -70,7 +73,7 @@ def virtual_robot(virtual_arm_config: ArmConfig, virtual_bus: VirtualBus) -> Ite
 def virtual_arm(
     request: pytest.FixtureRequest, virtual_arm_config: ArmConfig, virtual_bus: VirtualBus
 ) -> Iterator[Arm]:
-    """The arm of ``virtual_robot``; alone, an arm on these servos that needs no model."""
+    """The arm of ``virtual_robot``; without that fixture, an arm that needs no model."""
     from robot_ik.hardware import open_arm
 
     if "virtual_robot" in request.fixturenames:
@@ -83,7 +86,7 @@ def virtual_arm(
 
 @pytest.fixture
 def virtual_port(virtual_bus: VirtualBus) -> Iterator[str]:
-    """Path of a serial port with these servos, for programs in any language.
+    """Path of a serial port with the simulated servos, for programs in any language.
 
     The test is skipped on systems without pseudo terminals (Windows).
     """

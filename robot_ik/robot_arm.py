@@ -1,4 +1,4 @@
-"""The front door to a robot with servos: a model, an arm file and a bus that fit together."""
+"""``open_robot``: a robot with servos, from a model, an arm file and a bus that fit together."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ class RobotArm(Closing):
         return self.part.read()
 
     def true_q(self) -> Array | None:
-        """Return where a camera sees simulated joints, (n,) rad or m; None if servos are real."""
+        """Return the true values of simulated joints, (n,) rad or m; None if servos are real."""
         servos = self.virtual_bus
         return None if servos is None else servos.true_angles(self.chain)
 
@@ -113,7 +113,7 @@ class RobotArm(Closing):
         return self
 
     def close(self) -> None:
-        """Leave the arm as its exit policy says, and close the bus."""
+        """Apply the exit policy of the arm, and close the bus."""
         self.arm.close()
 
 
@@ -129,14 +129,14 @@ def open_robot(
 ) -> RobotArm:
     """Return a robot and its arm on a bus. Nothing is connected and no torque changes.
 
-    If a calibration stands beside the arm file, the model must be the one that was calibrated.
+    If there is a calibration beside the arm file, the model must be the one that was calibrated.
     This check cannot be skipped.
 
     Args:
         name: Robot of the catalogue, path of a model, or a loaded robot.
         arm: Arm file or its content. None: the arm file beside the model.
         bus: ``"sim"``, ``"pty"`` or a serial port such as ``"/dev/ttyUSB0"``.
-        on_exit: ``"torque_off"``, ``"hold"`` or ``"park"``. None: as the arm file says.
+        on_exit: ``"torque_off"``, ``"hold"`` or ``"park"``. None: as in the arm file.
         start: (n,) initial values of the robot's joints, or joint name -> value, for simulated
             servos. None: home of the robot.
         virtual_bus: Simulated servos to use instead of new ones.
@@ -145,7 +145,7 @@ def open_robot(
 
     Raises:
         ConfigError: There is no arm file, or it does not fit the model.
-        CalibrationMismatchError: The model is not the one of the calibration.
+        CalibrationMismatchError: The calibration belongs to another model.
         ModelError: The model cannot be read.
     """
     robot = name if isinstance(name, Robot) else load_robot(name)
@@ -183,7 +183,7 @@ def arm_collisions(config: ArmConfig, robot: Robot) -> CollisionAvoidance | None
     table = config.collisions
     if table is None:
         return None
-    # Here, because they load the compiled collision checks, 0.05 s that few arms need.
+    # Imported here, because they load the compiled collision checks, 0.05 s that few arms need.
     from robot_ik.collision.avoidance import CollisionAvoidance
     from robot_ik.collision.obstacle_file import load_obstacles
     from robot_ik.collision.obstacles import Obstacle, Plane
@@ -222,7 +222,7 @@ def robot_of_arm(robot: Robot, config: ArmConfig, source: str | os.PathLike[str]
         source: Name or path from which the robot was loaded.
 
     Raises:
-        ConfigError: The model has not these joints.
+        ConfigError: The model does not have these joints.
     """
     names = config.chain.names
     if set(names) != set(robot.joints):

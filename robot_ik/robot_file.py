@@ -38,7 +38,7 @@ _CHAIN_SIDE = 0.45
 """Horizontal distance of the first ball of a chain, as a share of its length: it can be reached."""
 
 _CHAIN_HEIGHT = 0.45
-"""Height of that ball, likewise."""
+"""Height of that ball, as a share of the length of the chain."""
 
 _MODEL_SUFFIXES = {".xml", ".mjcf", ".urdf", "robot.toml"}
 _EXPECTED = (
@@ -239,7 +239,7 @@ def find_robot(name: str | os.PathLike[str]) -> tuple[Path, RobotFile]:
         links = chain_links(str(name))
         return Path(f"<memory>/chain{links}"), _chain_file(links)
     if str(name).startswith(DESCRIPTIONS):
-        from robot_ik.urdf import described_model  # here: it costs 6 ms, which few programs need
+        from robot_ik.urdf import described_model  # imported here: it takes 6 ms, rarely needed
 
         description = str(name).removeprefix(DESCRIPTIONS)
         return described_model(description), RobotFile(name=description)
@@ -275,7 +275,7 @@ def chain_links(name: str) -> int:
 
 
 def _chain_file(links: int) -> RobotFile:
-    """Return what a ``robot.toml`` of a chain of links of 1 m would say."""
+    """Return the ``RobotFile`` of a chain of links of 1 m, which has no ``robot.toml``."""
     ball = [_CHAIN_SIDE * links, 0.0, _CHAIN_HEIGHT * links]
     return RobotFile(
         name=f"chain{links}",

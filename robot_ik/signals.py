@@ -4,11 +4,11 @@
 ``ExitGuard``           turns signals into exceptions while an arm is enabled
 ``raised_signals``      turns signals into exceptions in a program without a guard
 
-A signal handler may run in the middle of a packet, so it must not use a bus.  It raises an
-exception, ``KeyboardInterrupt`` for SIGINT and ``SystemExit(128 + number)`` for the others.  The
+A signal handler may run in the middle of a packet, so it must not use a bus. It raises an
+exception, ``KeyboardInterrupt`` for SIGINT and ``SystemExit(128 + number)`` for the others. The
 bus then ends its transaction, and the arm is left on a clean line.
 
-Python runs signal handlers in the main thread only.  In other threads nothing here has an effect.
+Python runs signal handlers in the main thread only. In other threads nothing here has an effect.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 SIGNALS: tuple[int, ...] = tuple(getattr(signal, name) for name in _NAMES if hasattr(signal, name))
 """Signals that end a program on this system.
 
-Windows has no SIGHUP.  It has SIGBREAK, for Ctrl-Break and a closed console.
+Windows has no SIGHUP. It has SIGBREAK, for Ctrl-Break and a closed console.
 """
 
 P = ParamSpec("P")
@@ -127,12 +127,12 @@ class DeferredSignals:
 def deferred_signals() -> DeferredSignals:
     """Return a context manager and decorator that defers the signals of ``SIGNALS``.
 
-    Signals that come inside wait for its end.  Then the program's own handler is called, or, if it
-    has none, the exception of the signal is raised.  Blocks may be nested: the outermost one ends
+    Signals that come inside wait for its end. Then the program's own handler is called, or, if it
+    has none, the exception of the signal is raised. Blocks may be nested: the outermost one ends
     the wait.
 
-    As a context manager it installs handlers for its time.  As a decorator it installs none: it has
-    an effect while an ``ExitGuard`` or another block is installed.  So a program that keeps its own
+    As a context manager it installs handlers for its time. As a decorator it installs none: it has
+    an effect while an ``ExitGuard`` or another block is installed. So a program that keeps its own
     handlers keeps them there, too.
     """
     return DeferredSignals()
@@ -155,12 +155,12 @@ class ExitGuard:
     """Makes signals raise exceptions, and has a last resort at the end of the interpreter.
 
     Handlers are installed from the main thread only, because Python allows no other, and only for
-    signals that the process does not ignore.  In another thread only the last resort is armed.  A
+    signals that the process does not ignore. In another thread only the last resort is armed. A
     program that enables arms in other threads installs a guard of its own in the main thread and
     leaves the arms when the exception comes.
 
     Args:
-        last_resort: Called by ``atexit`` if the guard was not removed before.  It must not raise.
+        last_resort: Called by ``atexit`` if the guard was not removed before. It must not raise.
 
     Attributes:
         received: Number of signals since ``install``.
@@ -171,10 +171,10 @@ class ExitGuard:
         self.received = 0
 
     def install(self, *, handle_signals: bool = True) -> None:
-        """Make signals raise exceptions.  May be called again, also after ``remove``.
+        """Make signals raise exceptions. May be called again, also after ``remove``.
 
         Args:
-            handle_signals: False: the program keeps its own handlers.  Only the last resort at the
+            handle_signals: False: the program keeps its own handlers. Only the last resort at the
                 end of the interpreter is armed.
         """
         self.received = 0
@@ -184,7 +184,7 @@ class ExitGuard:
             _HANDLERS.add(self)
 
     def remove(self) -> None:
-        """Remove the guard.  The last one restores the handlers from before.
+        """Remove the guard. The last one restores the handlers from before.
 
         May be called from any thread, any number of times.
         """
@@ -224,8 +224,8 @@ class _Handler:
 class _Handlers:
     """The handlers of this process, for all guards and blocks together.
 
-    The first guard or block installs them and the last one restores those from before.  Another
-    part of the program may install its own handlers above them meanwhile.  Then these stay below,
+    The first guard or block installs them and the last one restores those from before. Another
+    part of the program may install its own handlers above them meanwhile. Then these stay below,
     and pass signals on once the last guard and block are removed.
     """
 
@@ -396,4 +396,4 @@ def _call_in_main_thread(action: Callable[[], object]) -> None:
 
 
 _PENDING: deque[Any] = deque(maxlen=16)
-"""Callbacks that C is about to call.  A reference keeps them alive."""
+"""Callbacks that C is about to call. A reference keeps them alive."""

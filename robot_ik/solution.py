@@ -43,7 +43,7 @@ class Status(enum.IntEnum):
         return f"{_CAUSE[self]}; the nearest point found is kept"
 
 
-# m: a position that is missed by less is reached.
+# m. A position with a smaller error is reached.
 _POSITION_REACHED = 1e-6
 
 
@@ -56,7 +56,7 @@ def short_numbers(q: Array) -> str:
 # By number. A lookup is faster than a call of the enumeration.
 STATUS_OF = {int(status): status for status in Status}
 _CAUSE = {
-    Status.STALLED: "no step improves it any more",
+    Status.STALLED: "no step reduces the error any more",
     Status.ITERATION_LIMIT: "the iteration budget ran out",
     Status.TIME_LIMIT: "the time budget ran out",
     Status.UNREACHABLE: "proven out of reach",
@@ -99,9 +99,10 @@ class Solution:
     """Joint angles found for goals.
 
     Attributes:
-        q: (nq,) the best found, inside the limits, never wrapped.
+        q: (nq,) joint angles nearest to the goals, inside the limits, never wrapped.
         status: How the solve ended.
-        iterations, restarts: Steps of all tries; random restarts used.
+        iterations: Steps of all tries.
+        restarts: Random restarts.
         seconds: Wall-clock time of the solve.
         solver: Name of the method that found q.
         given: The goals as given to the problem.
@@ -171,7 +172,7 @@ class Solution:
         """
         if self.avoidance is not None:
             return self.avoidance.clearance(self.q)
-        # Here, because it loads the kernels of collision checks, 50 ms.
+        # Imported here, because it loads the kernels of collision checks: 50 ms.
         from robot_ik.collision.scene import Scene
 
         return Scene(self.robot).clearance(self.q)
@@ -186,18 +187,18 @@ class Solution:
 
     @property
     def meaning(self) -> str:
-        """Sentence that states the meaning of the status, or how near the orientation came."""
+        """Sentence with the meaning of the status, or with the orientation error."""
         if self.status is not Status.UNREACHABLE or self.angle_bound is None:
             return self.status.meaning
         angle_deg = math.degrees(self.error.angle)
         if self.error.position <= _POSITION_REACHED:
             return (
-                f"position reached; orientation {angle_deg:.1f}° off, "
-                "and no configuration of this arm does better"
+                f"position reached; the orientation error of {angle_deg:.1f}° "
+                "is the smallest possible for this arm"
             )
         return (
             "position proven out of reach; the nearest position is kept, "
-            f"orientation {angle_deg:.1f}° off"
+            f"with an orientation error of {angle_deg:.1f}°"
         )
 
     def require(self) -> Solution:
@@ -208,7 +209,7 @@ class Solution:
         """
         if self.converged:
             return self
-        distance = f"{1000 * self.error.position:.2f} mm, {np.degrees(self.error.angle):.3f}° off"
+        distance = f"{1000 * self.error.position:.2f} mm, {np.degrees(self.error.angle):.3f}° away"
         if self.status in COLLIDING and self.clearance.pair is not None:
             first, second = self.clearance.pair
             distance += f", {first} and {second} {1000 * self.clearance.distance:.1f} mm apart"
@@ -216,7 +217,7 @@ class Solution:
             error = self.nearest_free.error
             distance += (
                 f"; nearest without a collision: {1000 * error.position:.2f} mm, "
-                f"{np.degrees(error.angle):.3f}° off"
+                f"{np.degrees(error.angle):.3f}° away"
             )
         raise NotConvergedError(
             f"{self.solver} did not reach the goal ({self.status.name}: {self.meaning}); "

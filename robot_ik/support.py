@@ -1,7 +1,7 @@
-"""Goals that keep a robot on its feet while another frame moves.
+"""Goals that keep the feet of a robot in place while another frame moves.
 
 ``keep`` of ``robot.toml`` names the frames. The commands and the testbed add these goals unless the
-user asks for others.
+user gives other goals.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def support_goals(
         robot: The robot.
         moved: Names of the frames that other goals move.
         q: (nq,) joint angles at which the frames are where they should stay. Default: home.
-        priority: Priority of these goals. 0 is served first.
+        priority: Priority of these goals. Goals of priority 0 are met first.
 
     Returns:
         One pose goal a frame. None for a robot without feet, such as an arm on a table.

@@ -81,7 +81,7 @@ class Urdf:
 
     @property
     def problem(self) -> Problem:
-        """An error that MuJoCo does not report, or not in the words of URDF; empty without one."""
+        """An error that MuJoCo does not report, or not in the terms of URDF; empty without one."""
         texts = [
             text
             for element in self._root.iter()

@@ -1,4 +1,4 @@
-"""Shared by all tests: what this machine must have, and how hypothesis runs."""
+"""Settings for all tests: optional programs of the machine, hypothesis, time limits."""
 
 import gc
 import os
@@ -44,7 +44,7 @@ settings.load_profile(os.environ.get("ROBOT_IK_EXAMPLES", "robot_ik"))
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _nothing_old_is_searched_for_garbage() -> Iterator[None]:
+def _freeze_old_objects() -> Iterator[None]:
     """Exclude the objects that a test file leaves behind from garbage collection.
 
     They are millions of a compiler's objects. Each search stopped the process, and virtual servos
@@ -65,7 +65,7 @@ renderer.render()
 
 
 class Require(Protocol):
-    """Skips the test, or fails it where ROBOT_IK_REQUIRE names what is missing."""
+    """Skips the test, or fails it if ROBOT_IK_REQUIRE names the missing program."""
 
     def __call__(self, name: str, reason: str = "", *, present: bool | None = None) -> str: ...
 
@@ -116,7 +116,7 @@ def _find(name: str) -> str | None:
 
 
 def _beside(name: str) -> ModuleType:
-    """The module of that name in this folder, which is no package and not on the path."""
+    """Return a module of this folder, which is neither a package nor on the path."""
     spec = spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
     assert spec is not None and spec.loader is not None
     module = module_from_spec(spec)

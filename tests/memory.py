@@ -1,4 +1,4 @@
-"""How much memory this process holds, in a way that does not change by itself."""
+"""Resident memory of this process, measured reproducibly."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ import time
 
 
 def resident_memory(settle: float = 3.0) -> float:
-    """The memory of this process that is resident (MB), the lowest within ``settle`` s.
+    """Return the resident memory of this process, MB: the smallest value within ``settle`` s.
 
     Before each reading, dead objects are collected and glibc returns its free memory.
-    Connections and threads that are ending still hold their buffers for a moment: hence the lowest.
+    Connections and threads that are ending keep their buffers for a moment, so the smallest value
+    is returned.
     """
     lowest = float("inf")
     end = time.monotonic() + settle

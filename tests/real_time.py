@@ -2,8 +2,8 @@
 
 A serial line, a heartbeat and a servo's watchdog have deadlines of milliseconds. On a machine that
 halts for longer they fail, and so does their test. During a test with the fixture ``real_time`` a
-thread measures how late it wakes up. A test that fails after a halt is tried again. A test that
-fails without a halt has failed.
+thread measures the delay of its wake-ups. A test that fails after a halt is tried again. A test
+that fails without a halt has failed.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ import pytest
 from _pytest.runner import runtestprotocol
 
 HALT = 0.02
-"""s; the tightest of these tests, a fast read of six servos, waits 34 ms for an answer."""
+"""s. The shortest deadline of these tests is 34 ms, for the fast read of six servos."""
 
 TRIES = 6
 
 
 @pytest.fixture(scope="session")
 def real_time() -> None:
-    """Used by fixtures that put servos behind a serial line, and by tests that time something."""
+    """Mark a test of real time. Fixtures with servos behind a serial line use it."""
 
 
 class Halts:
-    """The longest time for which this process did not run when it should have, in s."""
+    """Measures the longest time for which this process should have run and did not, s."""
 
     PERIOD = 0.005
 
@@ -51,7 +51,7 @@ class Halts:
 
 
 def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
-    """As pytest's own, with several tries."""
+    """Run a test as pytest does, with several tries."""
     if "real_time" not in getattr(item, "fixturenames", ()):
         return None
     hook = item.ihook

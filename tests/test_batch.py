@@ -22,7 +22,7 @@ def poses_of(robot, count, seed=1):
 
 @pytest.mark.parametrize("name", ["auto", "lm", "dls", "analytic"])
 @pytest.mark.parametrize("threads", [1, 3])
-def test_a_batch_gives_the_same_answers_as_single_solves(puma, name, threads):
+def test_a_batch_gives_the_same_solutions_as_single_solves(puma, name, threads):
     poses = poses_of(puma, 800)  # enough for three threads
     matrices = np.array([pose.matrix for pose in poses])
     matrices[3, :3, 3] = 3.0  # out of reach
@@ -107,7 +107,7 @@ def test_forward_batch_is_the_same_on_several_threads(puma):
     np.testing.assert_allclose(several.positions[-1], last.position, atol=1e-12)
 
 
-def test_forward_batch_of_no_row_is_empty(puma):
+def test_forward_batch_of_no_rows_is_empty(puma):
     positions, wxyz = rik.forward_batch(puma, np.zeros((0, puma.nq)))
     assert positions.shape == (0, 3)
     assert wxyz.shape == (0, 4)

@@ -1,4 +1,4 @@
-"""robot.toml: what it may say, and how wrong ones are answered."""
+"""robot.toml: its keys, and the errors of wrong files."""
 
 from pathlib import Path
 
@@ -52,7 +52,7 @@ def folder(tmp_path: Path) -> Path:
     return made
 
 
-def test_everything_said_is_heard(folder, monkeypatch):
+def test_every_key_of_robot_toml_is_read(folder, monkeypatch):
     monkeypatch.chdir(folder)
     for asked in (folder, folder / "robot.toml", folder / "arm.xml", "."):
         robot = load_robot(asked)
@@ -67,13 +67,13 @@ def test_everything_said_is_heard(folder, monkeypatch):
     assert load_robot(folder, joints="all").nq == 3
 
 
-def test_another_model_in_the_folder_is_not_meant(folder):
+def test_robot_toml_does_not_apply_to_another_model_in_the_folder(folder):
     (folder / "other.xml").write_text(MODEL)
     model, file = find_robot(folder / "other.xml")
     assert model.name == "other.xml" and file.name == "other" and file.tool is None
 
 
-def test_every_shipped_robot_loads_and_tells_where_its_numbers_come_from():
+def test_every_bundled_robot_loads_and_names_its_sources():
     assert "puma560" in catalogue()
     for name in catalogue():
         robot = load_robot(name)
@@ -164,7 +164,7 @@ def test_a_slide_in_degrees_and_a_hinge_in_millimetres_are_refused(folder):
     assert caught.value.key == "motion.velocity_mm"
 
 
-def test_what_is_no_toml_or_no_file_is_reported(folder):
+def test_malformed_toml_and_a_missing_file_are_reported(folder):
     (folder / "robot.toml").write_text("schema = = 1")
     with pytest.raises(ConfigError, match=r"robot\.toml: not valid TOML"):
         load_robot(folder)
@@ -226,7 +226,7 @@ def test_a_file_that_does_not_fit_its_model_is_reported(folder, before, after, e
         load_robot(folder)
 
 
-def test_a_method_that_is_misspelt_is_reported_with_the_file(folder):
+def test_a_misspelt_method_is_reported_with_the_file(folder):
     (folder / "robot.toml").write_text(FILE.replace('solver = "dls"', 'solver = "dlss"'))
     robot = load_robot(folder)
     assert solver_name("lm", robot.file) == "lm"
@@ -242,7 +242,7 @@ def test_numbers_of_home_count_and_may_be_rounded_at_a_limit(folder):
     assert robot.home.tolist() == [0.3, 2.0] and robot.qpos(robot.home)[2] == 0.1
 
 
-def test_a_model_that_is_missing_is_likened_to_models_only(folder):
+def test_a_missing_model_is_compared_with_model_files_only(folder):
     (folder / "my_arm.toml").touch()
     with pytest.raises(ModelError, match="my_arm") as caught:
         load_robot(folder / "my_arm.xml")

@@ -28,7 +28,7 @@ def test_a_chain_has_its_links_and_lengths(n):
     np.testing.assert_allclose(robot.forward(q).matrix, robot.measure(q).matrix, atol=1e-12)
 
 
-def test_a_joint_turns_all_three_ways_about_its_anchor():
+def test_a_ball_joint_rotates_about_three_axes():
     robot = rik.make_chain(2, 1.0)
     jacobian = robot.jacobian(robot.home)
     assert np.linalg.matrix_rank(jacobian[3:, :3]) == 3
@@ -39,7 +39,7 @@ def test_a_joint_turns_all_three_ways_about_its_anchor():
 @pytest.mark.parametrize(
     ("n", "length"), [(0, 1.0), (-3, 1.0), (2, 0.0), (2, -1.0), (2, np.inf), (2, np.nan)]
 )
-def test_a_chain_of_nothing_is_refused(n, length):
+def test_a_chain_without_links_is_refused(n, length):
     with pytest.raises(ModelError, match="link"):
         rik.make_chain(n, length)
 
@@ -50,7 +50,7 @@ ARM = """<mujoco model="arm"><worldbody><body name="a"><joint name="one"/><geom 
 </worldbody></mujoco>"""
 
 
-def test_a_model_built_in_memory_is_a_robot_like_any_other(tmp_path, monkeypatch):
+def test_a_model_built_in_memory_is_a_robot(tmp_path, monkeypatch):
     (tmp_path / "arm.toml").write_text("not for this robot")
     monkeypatch.chdir(tmp_path)
     model = mujoco.MjModel.from_xml_string(ARM)

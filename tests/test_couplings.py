@@ -1,4 +1,4 @@
-"""Coupled joints: the law holds in every solution, by MuJoCo too, or the method refuses."""
+"""Coupled joints: every solution satisfies the coupling in MuJoCo, or the method refuses."""
 
 from pathlib import Path
 
@@ -61,7 +61,7 @@ def broken(robot, q):
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_every_answer_keeps_the_law_in_mujocos_eyes(tmp_path, law):
+def test_every_solution_satisfies_the_coupling_in_mujoco(tmp_path, law):
     robot = arm(tmp_path, LAWS[law])
     rng = np.random.default_rng(3)
     for _ in range(5):
@@ -76,7 +76,7 @@ def test_every_answer_keeps_the_law_in_mujocos_eyes(tmp_path, law):
 
 
 @pytest.mark.parametrize("law", [law for law in LAWS if law != "still"])
-def test_the_jacobian_carries_the_followers(tmp_path, law):
+def test_the_jacobian_contains_the_motion_of_followers(tmp_path, law):
     robot = arm(tmp_path, LAWS[law])
     rng = np.random.default_rng(5)
     problem = Problem(
@@ -95,9 +95,9 @@ def test_the_jacobian_carries_the_followers(tmp_path, law):
             np.testing.assert_allclose(rows.jacobian[:, u], slope, atol=1e-7)
 
 
-def test_a_leader_stops_where_its_follower_meets_a_limit(tmp_path):
+def test_a_leader_stops_at_the_limit_of_its_follower(tmp_path):
     robot = arm(tmp_path, LAWS["linear"])
-    # j3 = 0.1 - 0.6 (j2 - 0.2) inside -0.9 … 1.2; j2 itself could go to ±1.5
+    # j3 = 0.1 - 0.6 (j2 - 0.2) is inside -0.9 … 1.2. The limits of j2 are ±1.5.
     assert robot.lower[1] == pytest.approx(-1.5) and robot.upper[1] == pytest.approx(1.5)
     tight = arm(tmp_path, LAWS["linear"].replace("-0.6", "-3"))
     assert tight.lower[1] == pytest.approx(0.2 - 1.1 / 3) and tight.upper[1] == pytest.approx(
@@ -114,13 +114,13 @@ def test_a_leader_stops_where_its_follower_meets_a_limit(tmp_path):
 @pytest.mark.parametrize(
     "name", [name for name in SOLVERS if name not in HONOUR and name not in ("auto", "combined")]
 )
-def test_a_method_that_cannot_refuses_by_name_and_names_those_that_can(tmp_path, name):
-    with pytest.raises(UnsupportedGoalError, match=f"'{name}' cannot") as caught:
+def test_a_method_without_couplings_refuses_and_names_methods_with_them(tmp_path, name):
+    with pytest.raises(UnsupportedGoalError, match=f"'{name}' does not support") as caught:
         solve(arm(tmp_path, LAWS["linear"]), PositionGoal(None, (0.5, 0.5, 0)), solver=name)
     assert "lm" in caught.value.able and "ccd" not in caught.value.able
 
 
-def test_a_frozen_follower_holds_its_leader_and_a_frozen_leader_its_follower(tmp_path):
+def test_frozen_followers_and_leaders_hold_the_coupled_joint(tmp_path):
     goal = PositionGoal(None, (0.8, 0.3, 0.2))
     with pytest.raises(UnsupportedJointError, match=r"'j3', which is frozen, to 'j2'"):
         Problem(arm(tmp_path, LAWS["linear"], joints=["j1", "j2"]), goal)
@@ -141,7 +141,7 @@ def test_a_frozen_follower_holds_its_leader_and_a_frozen_leader_its_follower(tmp
         ),
     ],
 )
-def test_couplings_that_make_no_sense_are_refused(tmp_path, equality, message):
+def test_contradictory_couplings_are_refused(tmp_path, equality, message):
     with pytest.raises(UnsupportedJointError, match=message):
         arm(tmp_path, equality)
 
@@ -160,7 +160,7 @@ def described(folder: Path, text: str):
     return load_robot(folder)
 
 
-def test_robot_toml_couples_joints_too(tmp_path):
+def test_robot_toml_can_couple_joints(tmp_path):
     robot = described(tmp_path, "[couplings]\nj3 = { follows = 'j2', ratio = -0.5, offset = 0.1 }")
     solution = solve(robot, PositionGoal(None, (0.7, 0.5, 0.1)), solver="lm")
     assert solution.q[2] == pytest.approx(0.1 - 0.5 * solution.q[1], abs=1e-12)
@@ -170,7 +170,7 @@ def test_robot_toml_couples_joints_too(tmp_path):
         described(tmp_path, "[couplings]\nj3 = { follow = 'j2', ratio = 1.0 }")
 
 
-def test_a_stiff_joint_moves_less_as_weighted_least_squares_says(tmp_path):
+def test_a_stiff_joint_moves_less_as_in_weighted_least_squares(tmp_path):
     soft = described(tmp_path, "")
     stiff = described(tmp_path, "[stiffness]\nj1 = 25.0\nj3 = 4.0")
     assert stiff.stiffness.tolist() == [25.0, 1.0, 4.0, 1.0, 1.0]
@@ -213,7 +213,11 @@ def test_a_stiff_joint_moves_less_as_weighted_least_squares_says(tmp_path):
         (LAWS["linear"], ""),
     ],
 )
-def test_equalities_that_no_solver_keeps_are_named_at_loading(tmp_path, caplog, equality, kind):
+def test_equalities_that_no_solver_satisfies_are_named_at_loading(tmp_path, caplog, equality, kind):
     arm(tmp_path, equality)
-    said = [record.getMessage() for record in caplog.records]
-    assert (len(said) == 1 and f"of the kind {kind} are not kept" in said[0]) if kind else not said
+    messages = [record.getMessage() for record in caplog.records]
+    assert (
+        (len(messages) == 1 and f"of the kind {kind} are not kept" in messages[0])
+        if kind
+        else not messages
+    )

@@ -1,4 +1,4 @@
-"""``from_dh``: against products of DH matrices and published tables, judged by MuJoCo."""
+"""``from_dh``: against products of DH matrices and published tables, by MuJoCo's kinematics."""
 
 import math
 

@@ -130,7 +130,7 @@ def give(page: Path, folder: Path) -> None:
 
 @cache
 def photograph() -> dict[str, bytes]:
-    """The photograph and the calibration that the page of the first camera makes."""
+    """Return the photograph and the calibration that the page of the first camera creates."""
     (block,) = [b for b in blocks(FIRST_PHOTO) if 'imwrite("photo.png"' in b.text]
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
         exec(
@@ -158,7 +158,7 @@ def run_line(
         is_package = words[1] == "-m" and (ROOT / words[2].replace(".", "/")).is_dir()
         assert is_package or (ROOT / words[1]).is_file(), where
         return
-    assert words[0] == "robot-ik", f"{where}: nobody knows how to check this"
+    assert words[0] == "robot-ik", f"{where}: no check exists for this command"
     if only_options or "/dev/" in command:
         check_options(words[1:], where)
     elif words[-1] == "&":
@@ -192,7 +192,7 @@ def slug(heading: str) -> str:
 
 
 @pytest.mark.parametrize("page", PAGES + OTHERS, ids=named)
-def test_links_lead_somewhere(page: Path) -> None:
+def test_links_lead_to_existing_pages_and_headings(page: Path) -> None:
     for target in re.findall(r"\]\(([^)\s]+)\)", prose(page)):
         if target.startswith("https://"):
             continue
@@ -276,7 +276,7 @@ def test_the_pages_name_every_public_name_and_no_other() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES + OTHERS, ids=named)
-def test_pages_belong_to_no_machine(page: Path) -> None:
+def test_pages_contain_no_paths_of_a_machine(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     assert not re.search(r"/(home|root|work|Users)/|127\.0\.0\.1", text)
     assert not re.search(r"pypi|simple/|--index-url|--extra-index", text, re.IGNORECASE)

@@ -17,11 +17,11 @@ from PIL import Image
 from robot_ik.commands import main as cli
 from tests.doc_pages import PAGES, ROOT, blocks, named, prose, script
 
-#: Files in which an install line could stand.
+#: Suffixes of files that may contain an install line.
 TEXTS = {".py", ".md", ".toml", ".rst", ".yml", ".txt"}
 
 
-def test_tables_are_what_the_program_says() -> None:
+def test_tables_equal_those_of_the_program() -> None:
     tables = script("tables")
     used = set()
     for page in PAGES:
@@ -45,7 +45,7 @@ MOVING_PICTURE_BYTES = 3_000_000
 TAGLINE = "Inverse kinematics for robot arms in Python, from camera to servo."
 
 
-def test_the_first_screen_has_one_picture_and_the_commands_that_begin() -> None:
+def test_the_first_screen_has_one_picture_and_the_first_commands() -> None:
     head, fold, _ = (ROOT / "README.md").read_text(encoding="utf-8").partition(FOLD)
     assert fold
     assert len(head.split()) <= FOLD_WORDS
@@ -92,8 +92,8 @@ def test_the_numbers_of_the_readme_are_those_of_the_tables() -> None:
     assert f"{middle} mm RMS for a 50 mm marker at 0.6 m" in head
 
 
-def test_make_reach_prints_what_the_page_shows(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_the_output_of_make_reach_equals_that_of_the_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], real_time: None
 ) -> None:
     page = ROOT / "docs" / "reference" / "reach.md"
     (shown,) = [block for block in blocks(page) if block.text.startswith("reach ")]
@@ -138,7 +138,7 @@ def test_the_keys_of_the_summary_are_those_of_the_page(tmp_path: Path) -> None:
     assert set(summary["by_camera"]) == set(summary["read_back"])
 
 
-def test_the_page_states_the_miss_of_a_slipped_horn(tmp_path: Path) -> None:
+def test_the_page_states_the_error_of_a_slipped_horn(tmp_path: Path) -> None:
     assert (
         cli.main(
             ["reach", "--bus", "sim", "--fault", "zero-offset:joint2=2", "--out", str(tmp_path)]
@@ -233,7 +233,7 @@ def test_the_citation_has_the_version_and_the_address() -> None:
     assert f"\nrepository-code: {project['urls']['Homepage']}\n" in citation
 
 
-def test_contributors_are_told_every_target_of_make() -> None:
+def test_contributing_lists_every_target_of_make() -> None:
     (phony,) = re.findall(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(), re.MULTILINE)
     reported = set(
         re.findall(r"`make ([\w-]+)", (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"))
@@ -241,7 +241,7 @@ def test_contributors_are_told_every_target_of_make() -> None:
     assert set(phony.split()) - {"FORCE", "help", "reach", "clean"} == reported
 
 
-def test_contributors_are_told_the_steps_of_ci() -> None:
+def test_contributing_lists_the_steps_of_ci() -> None:
     (steps,) = re.findall(
         r"^for step in (.*); do$", (ROOT / ".ci" / "run").read_text(), re.MULTILINE
     )
@@ -270,7 +270,7 @@ def test_the_api_page_lists_every_public_name() -> None:
         ("hardware-layers", "robot_ik.hardware.", "health"),
     ],
 )
-def test_the_layers_drawn_are_the_layers_checked(
+def test_the_drawn_layers_are_those_of_the_import_contract(
     contract_id: str, package: str, first: str
 ) -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -309,7 +309,7 @@ def test_every_package_and_page_is_on_the_map() -> None:
         (index.parent / link).resolve()
         for link in re.findall(r"^\* \[.*?\]\((\S+)\)", prose(index), re.MULTILINE)
     }
-    methods = ROOT / "docs" / "reference" / "solvers"  # their overview leads to them
+    methods = ROOT / "docs" / "reference" / "solvers"  # their overview links to them
     for page in (page for page in PAGES[1:] if page.parent != methods):
         assert page == index or page in listed, f"docs/index.md does not lead to {named(page)}"
 
@@ -334,7 +334,7 @@ def _rendered_strings() -> list[str]:
     return texts
 
 
-def test_the_symptoms_are_texts_of_the_program() -> None:
+def test_the_symptoms_are_messages_of_the_program() -> None:
     page = prose(ROOT / "docs" / "how-to" / "troubleshooting.md")
     cells = re.findall(r"^\|([^|]*`[^|`]+`[^|]*)\|", page, re.MULTILINE)
     shown = [text for cell in cells for text in re.findall(r"`([^`]+)`", cell) if " " in text]

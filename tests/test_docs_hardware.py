@@ -1,4 +1,4 @@
-"""What the hardware pages state: whose packets, which goals, which test holds a promise."""
+"""Statements of the hardware pages: sources of packets, logged goals, tests of promises."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_every_call_of_a_bus_is_in_that_table() -> None:
 
 
 class Wire(VirtualBus):
-    """Keeps the goals that arrive, whatever packet they come in."""
+    """Stores the goals that arrive in packets of all kinds."""
 
     def respond(self, data: bytes, baud: int | None = None) -> Any:
         for packet in Parser().feed(data, 0.0):
@@ -107,7 +107,7 @@ def _goals(packet: Packet) -> list[tuple[int, int]]:
     return []
 
 
-def test_the_bus_of_the_recipe_logs_every_goal_that_is_sent(
+def test_the_bus_of_the_recipe_logs_every_sent_goal(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     page = (DOCS / "how-to" / "extend.md").read_text(encoding="utf-8")
@@ -176,7 +176,7 @@ def _collected(files: set[str]) -> list[str]:
     return [line for line in run.stdout.splitlines() if "::" in line]
 
 
-def test_every_promise_names_a_test_for_every_family() -> None:
+def test_every_promise_has_a_test_for_every_family() -> None:
     promises = [row[0] for row in _rows("What is guaranteed")]
     tests = {number: cells for number, *cells in _rows("Tests of the promises")}
     assert len(promises) >= 25

@@ -1,4 +1,4 @@
-"""The error tree: one root, data kept as attributes, close names offered, hints at the end."""
+"""The error tree: one root, data as attributes, close names, hints at the end."""
 
 import inspect
 
@@ -13,7 +13,7 @@ CLASSES = [
 ]
 
 
-def test_every_error_has_the_one_root_and_is_in_the_one_module():
+def test_every_error_has_the_same_root_and_module():
     assert len(CLASSES) > 30
     for error in CLASSES:
         assert issubclass(error, errors.RobotIkError) and error.__doc__
@@ -33,11 +33,11 @@ def test_every_error_has_the_one_root_and_is_in_the_one_module():
         (errors.OutputError, OSError),
     ],
 )
-def test_an_error_is_also_what_python_calls_it(error, builtin):
+def test_an_error_derives_from_the_builtin_error(error, builtin):
     assert issubclass(error, builtin)
 
 
-def test_a_wrong_name_lists_the_close_ones_then_the_known():
+def test_a_wrong_name_lists_close_names_then_known_names():
     error = errors.UnknownJointError("joint_1", ["joint1", "joint2", "gripper"])
     assert error.name == "joint_1" and error.close[0] == "joint1" and error.known[2] == "gripper"
     text = str(error)
@@ -107,12 +107,12 @@ def test_the_hint_comes_last_and_only_once():
     assert str(errors.ModelError("it is broken")) == "it is broken"
 
 
-def test_messages_say_what_was_asked_what_is_possible_and_what_to_try():
+def test_messages_have_the_request_the_allowed_values_and_a_hint():
     assert str(
         errors.ConfigError("is no number", file="arm.toml", key="bus.baud", allowed="9600 …")
     ) == ("arm.toml: bus.baud: is no number; allowed: 9600 …")
     assert str(errors.UnsupportedGoalError("ccd", "a line goal", ["lm", "dls"])).endswith(
-        "these can: lm, dls"
+        "these solvers do: lm, dls"
     )
     missing = errors.MissingExtraError("viser", "web", "the browser view")
     assert 'pip install "robot-ik-testbed[web]"' in str(missing)
@@ -131,7 +131,7 @@ def test_messages_say_what_was_asked_what_is_possible_and_what_to_try():
     assert refused.code == 6 and "refused goal_position: data limit (error 6)" in str(refused)
 
 
-def test_numbers_that_differ_look_different():
+def test_different_numbers_have_different_texts():
     assert errors.distinct_texts(200.0, -160.0, 160.0) == ["200.0", "-160.0", "160.0"]
     assert errors.distinct_texts(160.04, -160.0, 160.0) == ["160.04", "-160.00", "160.00"]
     assert errors.distinct_texts(160.0 + 3e-14, 160.0)[0] != "160.0"

@@ -29,7 +29,7 @@ class Run(Protocol):
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
-    """Runs an example as the main program of this process and gives what it prints."""
+    """Return a function that runs an example in this process and returns its output."""
 
     def run(name: str, *arguments: str) -> str:
         monkeypatch.chdir(tmp_path)
@@ -63,7 +63,7 @@ def number(pattern: str, text: str) -> float:
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.name)
-def test_an_example_states_what_it_prints(path: Path) -> None:
+def test_every_example_has_a_docstring_and_a_test(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     docstring = text.split('"""')[1]
     assert re.search(r"[Pp]rints?\b", docstring)
@@ -90,7 +90,7 @@ def test_solve(tmp_path: Path) -> None:
     for name, status, position, angle in near:
         within = float(position) <= 0.1 and float(angle) <= 0.0573
         assert within == (status == "CONVERGED"), name
-    # What only a forward pass can know: where the gripper is, and how far off the far goal is.
+    # Values of a forward pass: the position of the gripper, and the error of the distant goal.
     x, y, z = (float(v) for v in re.search(r"position=\(([^)]*)\)", out)[1].split(","))  # type: ignore[index]
     assert max(abs(x + 0.45), abs(y + 0.10), abs(z - 0.80)) < 1e-4
     assert far[1] == "UNREACHABLE" and 1500 < float(far[2]) < 3000
@@ -119,7 +119,7 @@ def test_see_and_reach(run: Run) -> None:
     assert out.rstrip().endswith(": REACHED")
 
 
-def test_see_and_reach_tells_a_hidden_fault(run: Run) -> None:
+def test_see_and_reach_detects_a_hidden_fault(run: Run) -> None:
     out = run("03_see_and_reach.py", "2")
     assert number(r"by the servos: ([\d.]+) mm", out) < 2.5
     # 2 degrees about joint 2 move the gripper, some 0.45 m away from its axis, by 15 mm.
@@ -131,7 +131,7 @@ def test_follow_a_marker(run: Run) -> None:
     out = run("06_follow_a_marker.py")
     assert number(r"p50 ([\d.]+) ms", out) == 50.0  # ten pictures a second: half a period
     # At 80 mm/s the marker goes 4 mm in that time, and 8 mm until the servos have followed.
-    # The shadow of the gripper falls on a part of the marker, and must not bias its pose.
+    # The shadow of the gripper is on a part of the marker, and must not bias its pose.
     assert number(r"goal ([\d.]+) mm", out) < 1.5
     assert number(r"gripper ([\d.]+) mm", out) < 3.0
 
@@ -146,7 +146,7 @@ def test_whole_body(run: Run) -> None:
     assert near[5][3] > 5.0
 
 
-def test_whole_body_keeps_its_feet_where_the_hand_cannot_come(
+def test_whole_body_keeps_its_feet_if_the_hand_cannot_reach(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     program(EXAMPLES / "04_whole_body.py").main(1.3, -0.3, 1.2)
@@ -197,7 +197,7 @@ def test_moving_figure(run: Run) -> None:
 
 
 def test_learn_to_reach() -> None:
-    """The training itself needs stable-baselines3; here a known policy is measured."""
+    """The training needs stable-baselines3, so this test measures a known policy."""
     import gymnasium
 
     example = program(EXAMPLES / "09_learn_to_reach.py")

@@ -1,4 +1,4 @@
-"""`execute` and `follow` on virtual time, with sinks and arms that are a few lines each."""
+"""`execute` and `follow` in virtual time, with small sinks and arms."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def ramp(count=101, rate=100.0):
 
 
 class LaggingArm:
-    """Sink and source: one tick behind, offset by ``bias``; costs ``busy`` seconds a tick."""
+    """Sink and source with a lag of one tick, an offset ``bias``, and ``busy`` seconds a tick."""
 
     def __init__(self, clock, q, bias=0.0, busy=0.0):
         self.clock = clock
@@ -56,7 +56,7 @@ def test_every_sample_goes_to_every_sink_at_its_time():
     assert done.measured_trajectory is None
 
 
-def test_measured_and_commanded_are_kept_side_by_side():
+def test_measured_and_commanded_angles_are_recorded_together():
     clock = VirtualClock()
     path = ramp()
     arm = LaggingArm(clock, path.q[0])
@@ -79,7 +79,7 @@ def test_settling_repeats_the_last_sample_until_the_arm_arrives():
     assert done.tracking_error[1] == pytest.approx(0.01)
 
 
-def test_an_arm_that_is_elsewhere_is_refused_before_anything_is_sent():
+def test_an_arm_away_from_the_start_is_refused_before_a_command_is_sent():
     clock = VirtualClock()
     path = ramp()
     arm = LaggingArm(clock, path.q[0], bias=np.array([0.0, 1.5 * START_TOLERANCE]))
@@ -91,14 +91,14 @@ def test_an_arm_that_is_elsewhere_is_refused_before_anything_is_sent():
 
 
 @pytest.mark.parametrize("q", [[np.nan, 0.0], [0.0]])
-def test_an_arm_that_measures_nonsense_is_refused(q):
+def test_an_arm_with_invalid_measurements_is_refused(q):
     arm = LaggingArm(VirtualClock(), q)
     with pytest.raises(TrajectoryError):
         execute(ramp(), [arm], source=arm, clock=arm.clock)
     assert arm.sent == []
 
 
-def test_small_lateness_is_caught_up():
+def test_a_small_delay_is_caught_up():
     """Busy for 4 ms of each 10 ms: no drift over a hundred ticks."""
     clock = VirtualClock()
     done = execute(ramp(), [LaggingArm(clock, [0.0, 0.0], busy=0.004)], clock=clock)
@@ -120,7 +120,7 @@ def test_a_late_tick_shorter_than_a_period_does_not_move_the_schedule():
     np.testing.assert_allclose(done.times[52:], path.times[52:])
 
 
-def test_a_stall_is_counted_and_never_caught_up_in_a_hurry():
+def test_a_stall_is_counted_and_moves_the_schedule():
     clock = VirtualClock()
     path = ramp()
 
@@ -135,13 +135,13 @@ def test_a_stall_is_counted_and_never_caught_up_in_a_hurry():
     assert (done.commanded == path.q).all()
 
 
-def test_a_bus_slower_than_the_rate_shows_in_the_report():
+def test_a_bus_slower_than_the_rate_is_reported():
     clock = VirtualClock()
     done = execute(ramp(), [LaggingArm(clock, [0.0, 0.0], busy=0.025)], clock=clock)
     assert done.rate == pytest.approx(40.0, rel=0.01) and done.overruns >= 99
 
 
-def test_an_interrupt_propagates_and_nothing_more_is_sent():
+def test_an_interrupt_propagates_and_ends_the_commands():
     clock = VirtualClock()
     recorder = RecorderSink(JOINTS)
 
@@ -168,7 +168,7 @@ def test_a_sink_that_fails_stops_the_sinks_after_it_too():
     assert len(recorder) == 31
 
 
-def test_no_sink_can_bend_the_command():
+def test_no_sink_can_change_the_command():
     class Bender:
         def send(self, q, now):
             q[0] = 1e3
@@ -179,7 +179,7 @@ def test_no_sink_can_bend_the_command():
         execute(ramp(), [Bender()], clock=VirtualClock(), settle=0.1)
 
 
-def test_progress_counts_to_the_end():
+def test_progress_ends_at_the_number_of_ticks():
     seen = []
     execute(ramp(), [], clock=VirtualClock(), on_tick=seen.append, settle=0.05)
     assert [tick.index for tick in seen] == list(range(106))
@@ -205,14 +205,14 @@ def test_malformed_settling_is_refused(settle):
         execute(ramp(), [], clock=VirtualClock(), settle=settle)
 
 
-def test_the_real_clock_is_the_default_and_keeps_order():
+def test_the_real_clock_is_the_default():
     recorder = RecorderSink(JOINTS)
     done = execute(ramp(6), [recorder])
     assert isinstance(RealClock().now(), float)
     assert done.duration >= 0.05 * 0.99 and (np.diff(done.times) > 0.0).all()
 
 
-def test_the_arms_own_clock_is_taken_so_that_a_simulated_one_moves(real_time):
+def test_the_clock_of_the_arm_is_used_by_default(real_time):
     arm = LaggingArm(VirtualClock(), [0.0, 0.0])
     began = time.monotonic()
     by_source = execute(ramp(301), [arm], source=arm)

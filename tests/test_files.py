@@ -1,4 +1,4 @@
-"""Files that people write or hand over: whatever is in them, only errors of this package leave."""
+"""Files of users: any content raises only errors of this package."""
 
 from __future__ import annotations
 
@@ -91,10 +91,10 @@ URDF = """<robot name="r"><link name="base"/><link name="arm"><inertial><mass va
 """
 
 
-# What is read
+# Files that are read
 
 
-# What LeRobot's file leaves to the model.
+# Limits that are not in LeRobot's file.
 NO_LIMITS = defaultdict(lambda: (0.0, 0.0))
 
 
@@ -146,7 +146,7 @@ def _frames() -> Keyframes:
 
 
 def _robot_folder(path: Path) -> object:
-    """``path`` as the robot.toml beside a model."""
+    """Read ``path`` as the robot.toml beside a model."""
     folder = path.with_suffix(".robot")
     if not folder.exists():
         shutil.copytree(Path(str(ROBOT.path)).parent, folder)
@@ -164,7 +164,7 @@ def _saved(save: Callable[[Path], object]) -> Callable[[Path], str]:
 
 @dataclass(frozen=True)
 class Row:
-    """A reader, the name its file has, and what is in a good one."""
+    """A reader, the name of its file, and the content of a valid file."""
 
     read: Callable[[Path], object]
     name: str
@@ -176,7 +176,7 @@ class Row:
 
 
 def _csv_motion(path: Path) -> object:
-    drawn: Any = None  # a motion out of a file needs no figure
+    drawn: Any = None  # a motion from a file needs no figure
     with contextlib.ExitStack() as stack:
         make_motion(str(path), ROBOT, drawn, stack)
     return load_motion(path, ROBOT.joints)
@@ -241,7 +241,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("files")
 
 
-# All are found
+# Search for all readers
 
 READING = {name for name in vars(config) if re.match(r"(read|parse)(_|$)", name)} | {"read_model"}
 
@@ -272,10 +272,10 @@ FOREIGN = {
 }
 
 ALLOWED = {
-    ("robot_ik/config.py", "*"): "the one place",
-    ("robot_ik/model.py", "from_file"): "read_model, which refuses what MuJoCo lets pass",
+    ("robot_ik/config.py", "*"): "the functions that read files",
+    ("robot_ik/model.py", "from_file"): "read_model, which checks the numbers of the model",
     ("robot_ik/urdf.py", "ElementTree.fromstring"): "a text that read_model has read",
-    ("robot_ik/camera/calibration_file.py", "yaml.load"): "handed to parse",
+    ("robot_ik/camera/calibration_file.py", "yaml.load"): "called by parse",
     (
         "hardware/virtual/world.py",
         "from_file",
@@ -290,9 +290,9 @@ ALLOWED = {
         "robot_ik/commands/doctor_checks.py",
         "read_text",
     ): "the metadata of an installed distribution",
-    ("robot_ik/testbed/frontends/site.py", "read_bytes"): "files of the page, which ship",
+    ("robot_ik/testbed/frontends/site.py", "read_bytes"): "bundled files of the page",
     ("robot_ik/testbed/frontends/browser.py", "read_text"): "a file that it has just written",
-    ("robot_ik/testbed/filming.py", "read_bytes"): "a film that it has just made",
+    ("robot_ik/testbed/filming.py", "read_bytes"): "a film that it has just written",
     ("robot_ik/kernels/jit.py", "read_bytes"): "its own sources",
     ("robot_ik/motion/recording.py", "open"): "only written",
     ("hardware/ports.py", "read_text"): "/sys",
@@ -301,17 +301,16 @@ ALLOWED = {
     (
         "robot_ik/figure/reach_map.py",
         "np.load",
-    ): "a map that it made itself, without pickle; any error makes it anew",
+    ): "a map of this program, without pickle; any error computes it again",
     (
         "robot_ik/figure/reach_map.py",
         "read_bytes",
     ): "for a digest of the model that load_robot has just read",
-    ("robot_ik/commands/figure_runs.py", "read_bytes"): "likewise",
+    ("robot_ik/commands/figure_recording.py", "read_bytes"): "likewise",
     (
-        "robot_ik/commands/figure_runs.py",
+        "robot_ik/testbed/frontends/session_window.py",
         "from_file",
     ): "the model of a robot that load_robot has just read",
-    ("robot_ik/testbed/frontends/session_window.py", "from_file"): "likewise",
     (
         "robot_ik/testbed/frontends/session_window.py",
         "read_text",
@@ -319,14 +318,14 @@ ALLOWED = {
     ("robot_ik/pose_prior.py", "np.load"): "without pickle; a broken file is a ConfigError",
     ("robot_ik/commands/streams.py", "open"): "/dev/null",
     ("robot_ik/testbed/frontends/window_scene.py", "read_text"): "the scene of a bundled robot",
-    ("robot_ik/commands/robots.py", "ElementTree.parse"): "models that ship",
-    ("robot_ik/workcell/arm_camera/samples.py", "json.loads"): "what it has just written",
+    ("robot_ik/commands/robots.py", "ElementTree.parse"): "bundled models",
+    ("robot_ik/workcell/arm_camera/samples.py", "json.loads"): "a file that it has just written",
     ("hardware/calibration_file.py", "read_bytes"): "an arm file that ArmConfig.load has just read",
 }
-"""(file, call) that reads without ``robot_ik.config``, and why it may."""
+"""Calls (file, call) that read without ``robot_ik.config``, with the reason."""
 
-NOT_PEOPLE_S = {
-    "requested": "from robot-ik stop; any error means that the arm shall stop",
+INTERNAL_READERS = {
+    "requested": "from robot-ik stop; any error stops the arm",
 }
 
 
@@ -343,7 +342,7 @@ def _sources() -> list[tuple[str, ast.Module]]:
 
 
 def _calls(tree: ast.AST) -> Iterator[tuple[str, str]]:
-    """(last word, with the word before) of every call."""
+    """Yield the name of every called function, and the name with its owner."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Call):
             called = node.func
@@ -368,14 +367,14 @@ def _readers() -> set[str]:
             for alias in node.names
         }
         for node in ast.walk(tree):
-            if isinstance(node, ast.FunctionDef) and node.name not in NOT_PEOPLE_S:
+            if isinstance(node, ast.FunctionDef) and node.name not in INTERNAL_READERS:
                 inner = {word for word, full in _calls(node) if full == word}
                 if inner & READING & imported:
                     found.add(f"{name}:{node.name}")
     return found
 
 
-def test_nobody_reads_files_past_the_one_place() -> None:
+def test_all_files_are_read_by_the_functions_of_config() -> None:
     found = set()
     for name, tree in _sources():
         for word, full in _calls(tree):
@@ -385,10 +384,10 @@ def test_nobody_reads_files_past_the_one_place() -> None:
                 found.add((name, call))
     assert ("robot_ik/model.py", "from_file") in found
     new = {item for item in found if item not in ALLOWED and (item[0], "*") not in ALLOWED}
-    assert not new, "read files with robot_ik.config, or say here why not"
+    assert not new, "read files with robot_ik.config, or add the reason to ALLOWED"
 
 
-def test_every_reader_has_a_row_here(folder: Path) -> None:
+def test_every_reader_has_a_row_in_this_file(folder: Path) -> None:
     ran = set()
 
     def note(frame: FrameType, event: str, _: object) -> None:
@@ -400,7 +399,7 @@ def test_every_reader_has_a_row_here(folder: Path) -> None:
         path.write_text(row.text(folder), encoding="utf-8")
         sys.setprofile(note)
         try:
-            row.read(path)  # a good file is read
+            row.read(path)  # a valid file is read
         finally:
             sys.setprofile(None)
     places = {"robot_ik": ROOT, "hardware": HARDWARE}
@@ -418,7 +417,7 @@ def test_every_reader_has_a_row_here(folder: Path) -> None:
 
 @dataclass(frozen=True)
 class Raw:
-    """Text that stands in a file as it is."""
+    """Text that is written to a file unchanged."""
 
     text: str
 
@@ -428,7 +427,7 @@ def _word(value: str) -> str:
 
 
 def _dump(value: Any, language: str) -> str:
-    """A value as a file of that language has it, on one line."""
+    """Return a value in a language, on one line."""
     if isinstance(value, Raw):
         return value.text
     if isinstance(value, dict):
@@ -453,7 +452,7 @@ def _file_text(content: dict[str, Any], language: str) -> str:
 
 @cache
 def _content(text: str, language: str) -> Any:
-    """What a file of that language says; shared: ``_changed`` copies."""
+    """Return the content of a text. The result is shared, so ``_changed`` copies it."""
     if language == "yaml":
         return {
             "image_width": 640,
@@ -487,7 +486,7 @@ def _places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]
 
 
 def _changed(value: Any, path: tuple[Any, ...], new: Any) -> Any:
-    """A copy with another value at a place; ``...`` takes it out."""
+    """Return a copy with another value at a path; ``...`` removes the value."""
     if not path:
         return new
     if isinstance(value, dict):
@@ -551,13 +550,13 @@ def _good(name: str, folder: Path) -> str:
 
 
 def _survives(row: Row, folder: Path, text: str | bytes) -> RobotIkError | None:
-    """What reading such a file raises: nothing, or an error of this package."""
+    """Return the error of this package that reading a file raises, or None."""
     path = folder / row.name
     path.write_bytes(text if isinstance(text, bytes) else text.encode("utf-8", "surrogatepass"))
     try:
         row.read(path)
     except RobotIkError as error:
-        assert len(str(error)) < 1500, "an error is a sentence, not the file"
+        assert len(str(error)) < 1500, "the message is too long"
         str(error).encode("utf-8")
         return error
     return None
@@ -589,7 +588,9 @@ def test_only_errors_of_this_package_leave_a_reader(
 @pytest.mark.parametrize("name", ROWS)
 @COMMON
 @given(data=st.data())
-def test_damaged_text_is_survived(name: str, folder: Path, data: st.DataObject) -> None:
+def test_damaged_text_raises_only_errors_of_this_package(
+    name: str, folder: Path, data: st.DataObject
+) -> None:
     text = _good(name, folder).encode()
     for _ in range(data.draw(st.integers(1, 3))):
         at = data.draw(st.integers(0, len(text)))
@@ -605,7 +606,7 @@ def test_damaged_text_is_survived(name: str, folder: Path, data: st.DataObject) 
 @pytest.mark.parametrize("name", TEXTS)
 @COMMON
 @given(data=st.data())
-def test_hostile_words_in_models_and_tables_are_survived(
+def test_hostile_words_in_models_and_tables_raise_only_errors_of_this_package(
     name: str, folder: Path, data: st.DataObject
 ) -> None:
     text = _good(name, folder)
@@ -658,7 +659,7 @@ def test_the_file_and_the_key_are_named(name: str, folder: Path, hostile: str) -
 
 
 @pytest.mark.parametrize("name", ROWS)
-def test_what_is_no_such_file_is_named(name: str, folder: Path) -> None:
+def test_a_missing_file_is_named(name: str, folder: Path) -> None:
     row = ROWS[name]
     for text in (b"", b"\xff\xfe\x00x", b"\x00" * 100, b"[" * 100_000, b'{"a":' * 100_000):
         error = _survives(row, folder, text)
@@ -673,7 +674,9 @@ def test_a_file_without_end_is_refused() -> None:
         config.read_text(Path("/dev/zero"), "the arm file")
 
 
-def test_a_model_larger_than_any_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_model_file_that_is_too_large_is_refused(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(config, "LARGEST_FILE", 2**20)
     for name, text in (("large.xml", MJCF), ("large.urdf", URDF)):
         (folder / name).write_text(text + " " * 2**20, encoding="utf-8")
@@ -683,7 +686,7 @@ def test_a_model_larger_than_any_is_refused(folder: Path, monkeypatch: pytest.Mo
             load_robot(folder / name)
 
 
-def test_a_urdf_nested_without_end_is_refused() -> None:
+def test_a_very_deeply_nested_urdf_is_refused() -> None:
     with pytest.raises(ModelError, match="not a model that MuJoCo can read"):
         load_robot('<robot name="r">' + "<a>" * 100_000 + "</a>" * 100_000 + "</robot>")
 
@@ -700,13 +703,13 @@ def test_aliases_of_yaml_do_not_multiply(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ['{"\\ud800": 1}', '{"\\ud800": {}}', '{"a": "\\udc00"}'])
-def test_half_a_character_is_refused_in_words_that_can_be_printed(text: str) -> None:
+def test_a_lone_surrogate_is_refused_with_a_printable_message(text: str) -> None:
     with pytest.raises(ConfigError, match="surrogates not allowed") as caught:
         config.parse_json(text, "x.json")
     str(caught.value).encode("utf-8")
 
 
-def test_integers_are_no_booleans_and_text_is_no_number(folder: Path) -> None:
+def test_booleans_and_text_are_not_accepted_as_numbers(folder: Path) -> None:
     file = folder / "strict.toml"
     for name, old, new in (
         ("arm file", "baud = 1000000", "baud = true"),
@@ -724,7 +727,7 @@ def test_integers_are_no_booleans_and_text_is_no_number(folder: Path) -> None:
             ROWS[name].read(file)
 
 
-def test_a_byte_order_mark_is_no_part_of_a_text(folder: Path) -> None:
+def test_a_byte_order_mark_is_removed(folder: Path) -> None:
     path = folder / "from_windows.toml"
     path.write_bytes(codecs.BOM_UTF8 + b"key = 1\r\n")
     assert config.read_toml(path, "the file") == {"key": 1}

@@ -1,4 +1,4 @@
-"""Poses: against SciPy's rotations and by the laws of a group."""
+"""Poses: against SciPy's rotations and the laws of a group."""
 
 import itertools
 
@@ -37,7 +37,7 @@ def scipy_rotation(wxyz):
 
 
 @given(POSE, POSE, VECTOR)
-def test_composition_is_what_it_does_to_points(a, b, point):
+def test_composition_agrees_with_the_motion_of_points(a, b, point):
     assert isinstance(a @ b, Pose)
     np.testing.assert_allclose((a @ b) @ point, a @ (b @ point), atol=1e-11)
     np.testing.assert_allclose((a @ b).matrix, a.matrix @ b.matrix, atol=1e-11)
@@ -51,7 +51,7 @@ def test_a_pose_and_its_inverse_undo_each_other(pose):
 
 
 @given(POSE, POSE)
-def test_rotations_are_scipys(a, b):
+def test_rotations_equal_those_of_scipy(a, b):
     np.testing.assert_allclose(a.rotation, scipy_rotation(a.wxyz).as_matrix(), atol=1e-12)
     both = scipy_rotation(a.wxyz) * scipy_rotation(b.wxyz)
     np.testing.assert_allclose(
@@ -65,7 +65,7 @@ def test_rotations_are_scipys(a, b):
 
 
 @given(POSE, POSE)
-def test_a_change_is_that_from_one_pose_to_the_other(a, b):
+def test_plus_undoes_minus(a, b):
     change = a.minus(b)
     np.testing.assert_allclose(b.plus(change).matrix, a.matrix, atol=1e-9)
     rotation = scipy_rotation(a.wxyz) * scipy_rotation(b.wxyz).inv()
@@ -75,7 +75,7 @@ def test_a_change_is_that_from_one_pose_to_the_other(a, b):
 
 
 @given(QUATERNION)
-def test_a_matrix_gives_its_quaternion_back(wxyz):
+def test_a_matrix_gives_back_its_quaternion(wxyz):
     unit = Pose((0, 0, 0), wxyz).wxyz
     back = matrix_to_quat(quat_to_matrix(unit))
     assert back[0] >= 0
@@ -83,12 +83,12 @@ def test_a_matrix_gives_its_quaternion_back(wxyz):
 
 
 @pytest.mark.parametrize("axis", np.eye(3).tolist())
-def test_half_turns_survive_the_matrix(axis):
+def test_half_turns_are_kept_by_matrices(axis):
     assert np.abs(matrix_to_quat(quat_to_matrix(np.array([0.0, *axis])))[1:]).tolist() == axis
 
 
 @given(ROTATION_VECTOR, VECTOR)
-def test_log_undoes_exp_from_nothing_to_half_a_turn(rotation_vector, position):
+def test_log_undoes_exp_from_zero_to_a_half_turn(rotation_vector, position):
     np.testing.assert_allclose(
         rotation_log(rotation_exp(rotation_vector)), rotation_vector, atol=1e-12
     )
@@ -114,7 +114,7 @@ def twist_matrix(twist):
 
 
 @given(VECTOR, ROTATION_VECTOR)
-def test_exp_is_the_matrix_exponential_and_log_is_its_inverse(linear, rotation_vector):
+def test_exp_equals_the_matrix_exponential_and_log_is_its_inverse(linear, rotation_vector):
     twist = np.concatenate([linear, rotation_vector])
     pose = Pose.exp(twist)
     np.testing.assert_allclose(pose.matrix, expm(twist_matrix(twist)), atol=1e-11)
@@ -139,7 +139,7 @@ def test_a_pose_is_the_exp_of_its_log(pose):
     assert np.linalg.norm(pose.log()[3:]) <= np.pi + 1e-12
 
 
-def test_the_identity_changes_nothing():
+def test_the_identity_maps_each_pose_to_itself():
     pose = Pose((1, 2, 3), (0.5, 0.1, -0.7, 0.2))
     assert Pose.identity() == Pose()
     np.testing.assert_allclose((Pose.identity() @ pose).matrix, pose.matrix, atol=1e-15)
@@ -152,7 +152,7 @@ AXES = st.text("xyz", min_size=1, max_size=3).filter(
 
 
 @given(AXES, st.booleans(), st.data())
-def test_euler_angles_are_scipys(axes, rotated, data):
+def test_euler_angles_equal_those_of_scipy(axes, rotated, data):
     axes = axes.upper() if rotated else axes
     angles = data.draw(st.lists(st.floats(-7, 7), min_size=len(axes), max_size=len(axes)))
     pose = Pose.from_euler(axes, angles, position=(1, 2, 3))
@@ -194,7 +194,7 @@ def test_look_at_refuses_views_without_an_up(target):
 
 
 @given(POSE)
-def test_matrices_are_read_as_written(pose):
+def test_matrices_are_read_back_equal(pose):
     again = Pose.from_matrix(pose.matrix)
     np.testing.assert_allclose(again.matrix, pose.matrix, atol=1e-12)
     np.testing.assert_allclose(
@@ -202,7 +202,7 @@ def test_matrices_are_read_as_written(pose):
     )
 
 
-def test_a_pose_owns_its_numbers_and_keeps_them():
+def test_a_pose_has_read_only_copies_of_its_numbers():
     position = np.zeros(3)
     wxyz = np.array([2.0, 0, 0, 0])
     pose = Pose(position, wxyz)
@@ -223,7 +223,7 @@ def test_a_pose_owns_its_numbers_and_keeps_them():
         ((0, 0, 0), (0, 0, 0, 0), "zero quaternion"),
     ],
 )
-def test_nonsense_is_no_pose(position, wxyz, message):
+def test_invalid_numbers_are_refused_as_a_pose(position, wxyz, message):
     with pytest.raises(ValueError, match=message):
         Pose(position, wxyz)
     with pytest.raises(ValueError, match="homogeneous"):
@@ -249,7 +249,7 @@ def test_poses_are_equal_by_their_numbers_and_can_be_keys():
 
 
 @pytest.mark.parametrize("bad", [(np.nan, 0, 0), (np.inf, 0, 0)])
-def test_what_is_not_finite_is_no_pose(bad):
+def test_numbers_that_are_not_finite_are_refused_as_a_pose(bad):
     with pytest.raises(ValueError, match="finite"):
         Pose(bad)
     with pytest.raises(ValueError, match="finite"):
@@ -268,7 +268,7 @@ def test_what_is_not_finite_is_no_pose(bad):
         (np.eye(3), (1, 0, 0, 1), "last row"),
     ],
 )
-def test_a_matrix_that_is_no_rotation_and_shift_is_no_pose(rotation, last_row, message):
+def test_a_matrix_that_is_not_a_rigid_motion_is_refused(rotation, last_row, message):
     matrix = np.eye(4)
     matrix[:3, :3] = rotation
     matrix[3] = last_row

@@ -1,4 +1,4 @@
-"""The recorder watches arms in every folder of the tests, and it can fail."""
+"""The recorder records arms in all test folders, and fails tests with forbidden goals."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_it(family, bus, broken, monkeypatch):
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_arms_of_all_tests_are_watched(goal_recorder, family) -> None:
+def test_arms_of_all_tests_are_recorded(goal_recorder, family) -> None:
     with open_arm(family_config(family), "sim") as arm:
         arm.enable()
         before = goal_recorder.goals

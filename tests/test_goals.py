@@ -1,4 +1,4 @@
-"""Goals: what they ask for, and what is not a goal."""
+"""Goals: targets, weights, equality, and refused arguments."""
 
 import copy
 import pickle
@@ -56,7 +56,7 @@ MADE = [
 
 
 @pytest.mark.parametrize("goal", MADE, ids=range(len(MADE)))
-def test_a_goal_moves_and_keeps_all_but_its_target(goal):
+def test_a_moved_goal_differs_only_in_its_target(goal):
     there = Pose((4, 5, 6), (0, 1, 0, 0))
     before = goal.target
     moved = goal.moved_to(there)
@@ -78,7 +78,7 @@ def test_messages_name_a_goal_with_its_article():
     ]
 
 
-def test_every_kind_is_tried_above_and_below():
+def test_every_kind_of_goal_is_in_the_lists_of_this_file():
     assert {type(goal) for goal in MADE} | {PostureGoal, PosePriorGoal} == set(GOALS)
     rest = PostureGoal(q=(0.1, 0.2), joints={"elbow": 2.0}, priority=3)
     assert replace(rest, q=(0.3, 0.4)).kind == rest.kind
@@ -119,12 +119,12 @@ def test_every_kind_is_tried_above_and_below():
         (lambda: PostureGoal(q=(0, 1), joints={"elbow": -1.0}), "elbow"),
     ],
 )
-def test_what_makes_no_sense_is_refused(make, message):
+def test_invalid_goals_are_refused(make, message):
     with pytest.raises(InvalidGoalError, match=message):
         make()
 
 
-def test_a_goal_owns_its_numbers():
+def test_a_goal_has_copies_of_its_numbers():
     position = np.array([1.0, 2.0, 3.0])
     goal = PositionGoal("tool", position)
     position[0] = 9.0
@@ -132,7 +132,7 @@ def test_a_goal_owns_its_numbers():
 
 
 @pytest.mark.parametrize("made", [PositionGoal, OrientationGoal, PoseGoal])
-def test_a_place_given_where_the_frame_belongs_is_explained(made):
+def test_a_position_in_place_of_the_frame_is_refused_with_a_hint(made):
     with pytest.raises(InvalidGoalError, match="the frame comes first"):
         made((0.1, 0.2, 0.3))
 
@@ -173,7 +173,7 @@ def test_goals_of_other_kinds_or_numbers_are_not_equal():
 
 
 @pytest.mark.parametrize(("make", "again"), EQUALS)
-def test_a_goal_says_in_a_line_what_is_not_usual(make, again):
+def test_the_repr_of_a_goal_has_its_unusual_options_on_one_line(make, again):
     text = repr(make(priority=1, length=0.25))
     assert text.startswith(type(make()).__name__ + "(") and "priority=1, length=0.25" in text
     assert len(text) < 150 and "\n" not in text and "tolerance" not in text

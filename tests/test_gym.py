@@ -1,4 +1,4 @@
-"""The Gymnasium environments: Gymnasium's own checker, motions, rewards and the batched one."""
+"""The Gymnasium environments: Gymnasium's checker, motions, rewards and the batched environment."""
 
 import subprocess
 import sys
@@ -28,7 +28,7 @@ def straight(observation):
 
 @pytest.mark.parametrize("control", ["tool", "joints"])
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_gymnasiums_checker_has_no_complaint(robot, control):
+def test_the_checker_of_gymnasium_passes(robot, control):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for name in ("Reach", "ReachDense"):
@@ -39,7 +39,7 @@ def test_gymnasiums_checker_has_no_complaint(robot, control):
 
 @pytest.mark.parametrize("control", ["tool", "joints"])
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_the_checker_of_stable_baselines3_has_no_complaint(robot, control):
+def test_the_checker_of_stable_baselines3_passes(robot, control):
     """``make lerobot`` runs it: the default environment has no PyTorch."""
     checker = pytest.importorskip(
         "stable_baselines3.common.env_checker",
@@ -106,7 +106,7 @@ def test_a_goal_may_be_given():
     assert info["reachable"] is None
 
 
-def test_rewards_of_many_goals_are_those_of_single_goals():
+def test_rewards_of_many_goals_equal_those_of_single_goals():
     for name in ("Reach", "ReachDense"):
         env = make(name).unwrapped
         rng = np.random.default_rng(0)
@@ -138,7 +138,7 @@ def test_many_arms_move_as_single_arms(control):
             assert info["is_success"][k] == alone_info["is_success"]
 
 
-def test_a_finished_arm_begins_anew_in_the_next_step():
+def test_a_finished_arm_restarts_in_the_next_step():
     envs = gymnasium.make_vec("robot_ik/Reach-v0", num_envs=3, max_episode_steps=4)
     first, _ = envs.reset(seed=5)
     actions = np.ones((3, 3), dtype=np.float32)

@@ -1,4 +1,4 @@
-"""The front door: names, options, defaults, and what is refused."""
+"""``solve``: names, options, defaults, and refused arguments."""
 
 import dataclasses
 import gc
@@ -41,7 +41,7 @@ def goal(puma):
     return PoseGoal.at(None, puma.forward(puma.home + 0.3))
 
 
-def test_the_table_of_solvers_is_a_mapping_that_also_knows_auto():
+def test_solvers_is_a_mapping_with_auto():
     assert {"auto", "lm", "dls", "ccd"} <= set(SOLVERS) and len(SOLVERS) == len(list(SOLVERS))
     assert "none" not in SOLVERS
     for name, kind in SOLVERS.items():
@@ -52,7 +52,7 @@ def test_the_table_of_solvers_is_a_mapping_that_also_knows_auto():
 
 
 @pytest.mark.parametrize("name", ITERATIVE)
-def test_every_option_says_what_it_is_and_keeps_its_range(name):
+def test_every_option_has_a_help_text_and_a_range(name):
     kind = SOLVERS[name]
     for field in dataclasses.fields(kind):
         meta = field.metadata
@@ -72,7 +72,7 @@ def test_every_option_says_what_it_is_and_keeps_its_range(name):
     assert kind(patience=7) == kind(patience=7) != kind(patience=8)
 
 
-def test_options_go_through_by_name(puma, goal):
+def test_options_are_passed_by_name(puma, goal):
     assert make_solver("lm", patience=5).patience == 5
     ready = make_solver("dls", damping=0.1)
     assert make_solver(ready) is ready
@@ -94,7 +94,7 @@ def test_options_go_through_by_name(puma, goal):
         ("alternative", 2, "True or False"),
     ],
 )
-def test_an_option_of_another_kind_is_refused_where_it_is_given(option, value, allowed):
+def test_an_option_of_another_type_is_refused(option, value, allowed):
     with pytest.raises(
         OptionError, match=f"solver lm: {option}: .* is not allowed; allowed: {allowed}"
     ):
@@ -103,7 +103,7 @@ def test_an_option_of_another_kind_is_refused_where_it_is_given(option, value, a
         make_solver("combined", methods=3)
 
 
-def test_options_that_mean_the_same_number_are_taken(puma, goal):
+def test_equal_numbers_of_another_type_are_accepted(puma, goal):
     plain = rik.solve(puma, goal, solver="lm", patience=3, damping=1.0, alternative=True)
     same = {"patience": 3.0, "damping": np.float32(1.0), "alternative": np.int64(1)}
     assert np.array_equal(rik.solve(puma, goal, solver="lm", **same).q, plain.q)
@@ -117,7 +117,7 @@ def test_an_instance_takes_no_options(puma, goal):
 @pytest.mark.parametrize(
     "name", [n for n in ITERATIVE if issubclass(rik.PoseGoal, SOLVERS[n].goals)]
 )
-def test_the_answer_names_the_method_that_found_it(puma, goal, name):
+def test_the_solution_has_the_name_of_its_method(puma, goal, name):
     solution = rik.solve(puma, goal, solver=name, tolerance=rik.Tolerance(1e-3, 1e-2))
     assert solution.solver == name and solution.converged and solution.seconds > 0
 
@@ -138,24 +138,22 @@ def test_wrong_starts_are_refused(puma, goal):
         rik.solve(puma, goal, start=[np.nan] * 6)
 
 
-def test_a_kind_of_goal_that_a_method_cannot_serve_is_reported_with_those_that_can(
-    puma, monkeypatch
-):
+def test_an_unsupported_goal_is_refused_with_supporting_methods(puma, monkeypatch):
     monkeypatch.setattr(SOLVERS["ccd"], "goals", (PositionGoal,))
     able = able_solvers(rik.Problem(puma, OrientationGoal(None, (1, 0, 0, 0))))
     assert "lm" in able and "ccd" not in able
     with pytest.raises(
-        UnsupportedGoalError, match=r"'ccd' cannot serve a pose goal(.|\n)*lm, (.*, )?dls"
+        UnsupportedGoalError, match=r"'ccd' does not support a pose goal(.|\n)*lm, (.*, )?dls"
     ):
         rik.solve(puma, PoseGoal(None, (0, 0, 1)), solver="ccd")
 
 
-def test_a_goal_of_no_kind_is_refused(puma):
+def test_the_base_class_of_goals_is_refused(puma):
     with pytest.raises(InvalidGoalError, match="one of the kinds"):
         rik.solve(puma, Goal("gripper"))
 
 
-def test_every_lazy_name_of_the_package_is_there():
+def test_every_lazy_name_of_the_package_exists():
     assert set(rik.__all__) == {*rik._MODULE_OF, "__version__"} == set(dir(rik))
     for name in rik.__all__:
         assert getattr(rik, name) is not None
@@ -165,7 +163,7 @@ def test_every_lazy_name_of_the_package_is_there():
 
 @pytest.fixture
 def compiled(monkeypatch):
-    """How many problems the front door compiles."""
+    """Return the list of problems that ``solve`` builds."""
     built = []
 
     class Counted(Problem):
@@ -183,7 +181,7 @@ def fresh_answer(robot, goal, name, start, budget, seed):
 
 
 @pytest.mark.parametrize("name", SOLVERS)
-def test_a_loop_of_calls_compiles_once_and_remembers_no_answer(name, compiled):
+def test_a_loop_of_calls_compiles_once_and_keeps_no_solution(name, compiled):
     robot = rik.load_robot("puma560")
     rng = np.random.default_rng(3)
     kind = PoseGoal if issubclass(PoseGoal, SOLVERS[name].goals) else PositionGoal
@@ -203,7 +201,7 @@ def test_a_loop_of_calls_compiles_once_and_remembers_no_answer(name, compiled):
     assert len(compiled) == 1
 
 
-def test_other_kinds_frames_methods_options_and_tolerances_have_problems_of_their_own(compiled):
+def test_other_kinds_frames_methods_options_and_tolerances_get_new_problems(compiled):
     robot = rik.load_robot("puma560")
     pose = robot.forward(robot.home + 0.1)
     calls = [
@@ -224,7 +222,7 @@ def test_other_kinds_frames_methods_options_and_tolerances_have_problems_of_thei
     assert len(compiled) == len(calls)
 
 
-def test_what_is_kept_is_bounded():
+def test_the_number_of_kept_problems_is_bounded():
     robot = rik.load_robot("puma560")
     pose = robot.forward(robot.home + 0.1)
     for k in range(100):
@@ -233,7 +231,7 @@ def test_what_is_kept_is_bounded():
     assert 1 <= len([one for one in problems if one.robot is robot]) <= 64
 
 
-def test_calls_in_several_threads_never_meet(puma):
+def test_calls_in_several_threads_use_separate_problems(puma):
     rng = np.random.default_rng(5)
     goals = [PoseGoal.at(None, puma.forward(puma.sample(rng))) for _ in range(12)]
     alone = [rik.solve(puma, goal, solver="lm").q for goal in goals]
@@ -249,7 +247,7 @@ def test_calls_in_several_threads_never_meet(puma):
         assert all(pool.map(many, range(8)))
 
 
-def test_an_error_leaves_the_next_call_alone(puma, goal):
+def test_an_error_does_not_affect_the_next_call(puma, goal):
     wanted = rik.solve(puma, goal).q
     for wrong in (
         {"start": [0, 0]},
@@ -276,7 +274,7 @@ def test_all_branches_of_a_pose_and_of_an_array(puma, goal):
         assert np.allclose([b.q for b in result], [b.q for b in wanted])
 
 
-def test_warming_up_serves_every_method_and_refuses_what_a_solve_would(puma, goal):
+def test_warm_up_supports_every_method_and_refuses_as_solve_does(puma, goal):
     for name in SOLVERS:
         kind = (
             goal

@@ -1,4 +1,4 @@
-"""The notebooks run, and what they store is what their cells show."""
+"""The notebooks run, and their stored outputs are those of their cells."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_there_are_two() -> None:
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
-def test_a_notebook_runs_and_shows_what_it_stores(file: Path) -> None:
+def test_a_notebook_runs_and_shows_its_stored_output(file: Path) -> None:
     stored = json.loads(file.read_text(encoding="utf-8"))
     fresh = copy.deepcopy(stored)
     namespace = notebooks.run_notebook(fresh, file.stem)

@@ -89,7 +89,7 @@ def urdf(tmp_path: Path) -> Path:
     return path
 
 
-def test_joints_without_names_get_one_that_mujoco_knows_too(nameless: Path) -> None:
+def test_joints_without_names_get_a_name_in_the_mujoco_model(nameless: Path) -> None:
     robot = rik.load_robot(nameless)
     assert robot.joints == ("joint_0", "joint_1", "joint_2", "joint_3")
     assert [robot.model.joint(name).id for name in robot.joints] == [0, 1, 2, 3]
@@ -129,7 +129,7 @@ def test_text_and_spec_are_robots(nameless: Path) -> None:
     for robot in (rik.load_robot(NAMELESS), rik.load_robot(spec), rik.load_robot("\n " + NAMELESS)):
         assert robot.name == "nameless" and robot.joints == whole.joints and robot.arm_file is None
         assert robot.forward(robot.home).distance(whole.forward(whole.home)) == (0.0, 0.0)
-    assert spec.joints[0].name == ""  # it stays as it is
+    assert spec.joints[0].name == ""  # the spec is not changed
     with pytest.raises(ModelError, match="not a model that MuJoCo can read"):
         rik.load_robot("<mujoco><worldbody>")
 
@@ -147,7 +147,7 @@ def test_radians_read_as_degrees_get_a_hint(caplog: pytest.LogCaptureFixture) ->
     assert 'angle="radian"' in caplog.text and "3.10 degrees" in caplog.text
 
 
-def test_what_mujoco_warns_of_masses_is_logged_and_not_printed(
+def test_warnings_of_mujoco_about_masses_are_logged_and_not_printed(
     caplog: pytest.LogCaptureFixture, recwarn: pytest.WarningsRecorder
 ) -> None:
     twice = '<joint name="j1"/><joint name="j2"/>'  # one axis: kinematics only
@@ -162,7 +162,7 @@ def test_what_mujoco_warns_of_masses_is_logged_and_not_printed(
 
 
 @pytest.mark.parametrize("where", ['pos="nan 0 0"', 'quat="1 nan 0 0"'])
-def test_a_number_that_is_none_is_named(where: str) -> None:
+def test_a_number_that_is_not_finite_is_named(where: str) -> None:
     text = (
         f'<mujoco><worldbody><body name="a" {where}><joint/><geom size=".1"/></body>'
         "</worldbody></mujoco>"
@@ -172,7 +172,7 @@ def test_a_number_that_is_none_is_named(where: str) -> None:
 
 
 @pytest.mark.parametrize("value", [5, None, 2.5, b"puma560", ["puma560"]])
-def test_what_is_no_name_at_all_is_a_value_error(value: object) -> None:
+def test_a_value_that_is_not_a_name_is_a_value_error(value: object) -> None:
     with pytest.raises(
         InvalidModelError,
         match="is not a robot\na robot is a name of the catalogue, the path or text of",
@@ -203,11 +203,11 @@ def test_without_the_package_the_install_line_is_named(monkeypatch: pytest.Monke
 
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty cache of robot_descriptions, that asks for what lies in it already."""
+    """An empty cache of robot_descriptions, from which descriptions are loaded offline."""
     pytest.importorskip("robot_descriptions", reason="needs the extra `descriptions`")
     monkeypatch.setenv("ROBOT_DESCRIPTIONS_CACHE", str(tmp_path / "cache"))
     monkeypatch.setenv("ROBOT_DESCRIPTION_COMMIT", "local")
-    monkeypatch.setenv("GIT_ALLOW_PROTOCOL", "file")  # nothing is fetched from anywhere
+    monkeypatch.setenv("GIT_ALLOW_PROTOCOL", "file")  # git downloads nothing
     for name in ("panda_mj_description", "so_arm101_mj_description"):
         monkeypatch.delitem(sys.modules, f"robot_descriptions.{name}", raising=False)
     return tmp_path / "cache"
@@ -225,7 +225,7 @@ def test_a_description_in_the_cache_is_a_robot(cache: Path, nameless: Path) -> N
     assert robot.name == "panda_mj_description" and robot.path == model and robot.tool == "tip"
 
 
-def test_a_description_that_git_cannot_get_says_how_to(cache: Path) -> None:
+def test_a_description_that_git_cannot_download_has_a_hint(cache: Path) -> None:
     with pytest.raises(
         ModelError, match=r"could not download it(.|\n)*pull so_arm101_mj_description"
     ) as caught:
@@ -233,12 +233,12 @@ def test_a_description_that_git_cannot_get_says_how_to(cache: Path) -> None:
     assert str(cache) in str(caught.value) and len(str(caught.value)) < 600
 
 
-def test_an_unknown_description_names_the_close_ones(cache: Path) -> None:
+def test_an_unknown_description_lists_close_names(cache: Path) -> None:
     with pytest.raises(UnknownRobotError, match="panda_mj_description"):
         rik.load_robot("robot_descriptions:panda_mj_descripton")
 
 
-def test_what_mujoco_ignores_of_a_model_is_logged_and_leaves_no_file(
+def test_parts_that_mujoco_ignores_are_logged_without_a_file(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
@@ -258,7 +258,7 @@ def test_what_mujoco_ignores_of_a_model_is_logged_and_leaves_no_file(
     ]
 
 
-def test_an_inertia_that_no_body_can_have_does_not_matter() -> None:
+def test_an_impossible_inertia_is_accepted() -> None:
     wrong = INERTIAL.replace('iyy="1" izz="1"', 'iyy="0.1" izz="0.1"')
     robot = rik.load_robot(URDF.replace('<link name="fore">', f'<link name="fore">{wrong}'))
     assert robot.joints == ("turn", "bend")
@@ -276,7 +276,7 @@ def test_an_inertia_that_no_body_can_have_does_not_matter() -> None:
         ('"bend"', '"turn"', "two joints are called 'turn'"),
     ],
 )
-def test_what_is_no_urdf_yet_says_so(was: str, becomes: str, message: str) -> None:
+def test_an_unfinished_urdf_is_refused_with_a_reason(was: str, becomes: str, message: str) -> None:
     with pytest.raises(ModelError, match=message):
         rik.load_robot(URDF.replace(was, becomes))
     # xacro does not remove its namespace.
@@ -307,7 +307,9 @@ def test_a_urdf_with_one_limit_has_zero_for_the_other() -> None:
         ("bend", "'bend' mimics 'bend', which is itself", "turn"),
     ],
 )
-def test_a_urdf_joint_that_follows_nobody_is_refused(leader: str, message: str, hint: str) -> None:
+def test_a_urdf_joint_with_an_invalid_mimic_is_refused(
+    leader: str, message: str, hint: str
+) -> None:
     limit = '<limit lower="-2" upper="2" velocity="1.3" effort="1"/>'
     with pytest.raises(ModelError, match=message) as caught:
         rik.load_robot(URDF.replace(limit, f'{limit}<mimic joint="{leader}"/>'))
@@ -316,7 +318,7 @@ def test_a_urdf_joint_that_follows_nobody_is_refused(leader: str, message: str, 
     assert robot.apply_couplings([0.5, 0.0]).tolist() == [0.5, -0.5]
 
 
-def test_an_mjcf_by_another_ending_says_which_it_needs(tmp_path: Path) -> None:
+def test_an_mjcf_with_another_suffix_is_refused_with_the_suffixes(tmp_path: Path) -> None:
     for name in ("arm.mjcf", "arm.toml", "arm"):
         path = tmp_path / name
         path.write_text(NAMELESS)
@@ -325,7 +327,7 @@ def test_an_mjcf_by_another_ending_says_which_it_needs(tmp_path: Path) -> None:
         assert "ends with .xml or .urdf" in caught.value.hint
 
 
-def test_a_model_in_millimetres_is_a_robot_however_heavy() -> None:
+def test_a_model_in_millimetres_loads_with_its_huge_masses() -> None:
     robot = rik.load_robot(
         NAMELESS.replace('size=".1 .1 .1"', 'size="400 400 400"').replace(".3", "300")
     )

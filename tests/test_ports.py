@@ -1,4 +1,4 @@
-"""Clocks of a run, and how threads take turns."""
+"""Clocks of a run, and the interval between switches of threads."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from robot_ik.ports import short_switch_interval
 
 
 @pytest.mark.parametrize("first_leaves_first", [True, False])
-def test_the_last_loop_to_end_restores_how_threads_take_turns(first_leaves_first: bool) -> None:
+def test_the_last_loop_restores_the_switch_interval(first_leaves_first: bool) -> None:
     kept = sys.getswitchinterval()
     sys.setswitchinterval(0.004)
     try:
@@ -29,7 +29,7 @@ def test_the_last_loop_to_end_restores_how_threads_take_turns(first_leaves_first
         sys.setswitchinterval(kept)
 
 
-def test_threads_that_take_turns_more_often_already_are_left_alone() -> None:
+def test_a_shorter_switch_interval_is_not_changed() -> None:
     kept = sys.getswitchinterval()
     sys.setswitchinterval(0.0001)
     try:

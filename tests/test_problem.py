@@ -1,4 +1,4 @@
-"""Problems: what is refused before any step is taken, and retargeting."""
+"""Problems: refused arguments, and retargeting."""
 
 import copy
 import pickle
@@ -36,7 +36,7 @@ def targets_of(problem):
     return problem.search.arrays["target"].copy()
 
 
-def test_tolerances_and_budgets_must_make_sense():
+def test_invalid_tolerances_and_budgets_are_refused():
     for bad in ({"position": 0.0}, {"angle": -1.0}, {"position": np.nan}):
         with pytest.raises(OptionError, match=r"tolerance: .*allowed: a positive number"):
             Tolerance(**bad)
@@ -95,14 +95,14 @@ def test_an_orientation_has_no_position_to_move(puma):
         Problem(puma, OrientationGoal(None, (1, 0, 0, 0))).retarget((1, 2, 3))
 
 
-def test_a_copy_has_work_space_of_its_own(puma):
+def test_a_copy_has_separate_memory(puma):
     problem = Problem(puma, PoseGoal.at(None, puma.forward(puma.home + 0.2)), seed=4, solver="lm")
     expected = problem.solve().q
     problem.retarget(puma.forward(puma.home - 0.2))
     moved = problem.solve().q
     for other in (copy.copy(problem), copy.deepcopy(problem), pickle.loads(pickle.dumps(problem))):
         assert other.seed == 4
-        assert np.array_equal(other.solve().q, moved)  # the target it had
+        assert np.array_equal(other.solve().q, moved)  # with the target of the original
         other.retarget(puma.forward(puma.home + 0.2))
         assert np.array_equal(other.solve().q, expected)
         assert np.array_equal(problem.solve().q, moved)
@@ -148,7 +148,7 @@ def test_several_targets_are_moved_at_once_by_frame_or_index(puma):
         ({0: Pose(), 1: PositionGoal("gripper", (0, 0, 1))}, "is a position goal"),
     ],
 )
-def test_of_several_targets_all_are_taken_or_none(puma, targets, message):
+def test_either_all_or_none_of_several_targets_are_moved(puma, targets, message):
     problem = several(puma)
     before = targets_of(problem)
     goals = problem.goals
@@ -157,7 +157,7 @@ def test_of_several_targets_all_are_taken_or_none(puma, targets, message):
     assert np.array_equal(targets_of(problem), before) and problem.goals == goals
 
 
-def test_goals_for_parts_are_moved_with_others_or_stay(puma):
+def test_goals_without_a_frame_are_moved_by_index_or_stay(puma):
     goals = [
         PoseGoal(None, (0.4, 0.1, 0.9)),
         PostureGoal(q=puma.home),
@@ -178,7 +178,7 @@ def test_goals_for_parts_are_moved_with_others_or_stay(puma):
         problem.retarget({"left_hand": (0, 0, 1)})  # a centre of mass without a body is no frame's
 
 
-def test_goals_show_the_targets_that_they_have_now(puma):
+def test_goals_have_their_current_targets(puma):
     first = puma.forward(puma.home + 0.1)
     then = puma.forward(puma.home - 0.2)
     goal = PoseGoal("gripper", first.position, first.wxyz, position_weight=2.0)
@@ -195,10 +195,10 @@ def test_goals_show_the_targets_that_they_have_now(puma):
             assert shown[0].target.distance(then) == pytest.approx((0, 0), abs=1e-7)
         # A solution keeps the targets of its own solve.
         assert before.goals[0].target.distance(first) == pytest.approx((0, 0), abs=1e-7)
-    assert problem.given[0] is move  # a goal is taken as it is
+    assert problem.given[0] is move  # a goal is stored unchanged
 
 
-def test_after_building_a_problem_nothing_more_is_compiled():
+def test_a_solve_compiles_nothing_after_the_problem_was_built():
     """In a fresh process: compiled code before and after."""
     code = """
         import sys

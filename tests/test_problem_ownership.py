@@ -25,7 +25,7 @@ def puma():
 
 
 def problem_for(name, robot, seed=0):
-    """A problem of a kind that the method serves, and poses (5, 4, 4) to move it to."""
+    """Return a problem that the method supports, and poses (5, 4, 4) for its target."""
     rng = np.random.default_rng(seed)
     poses = [robot.forward(robot.sample(rng)) for _ in range(5)]
     kind = rik.PoseGoal if issubclass(rik.PoseGoal, SOLVERS[name].goals) else rik.PositionGoal
@@ -36,7 +36,7 @@ def problem_for(name, robot, seed=0):
 
 
 @pytest.mark.parametrize("name", SOLVERS)
-def test_solve_and_batch_in_turn_give_what_each_gives_alone(puma, name):
+def test_solve_and_batch_in_turn_give_the_results_of_separate_calls(puma, name):
     problem, _, matrices = problem_for(name, puma)
     alone = problem.solve().q
     starts = np.tile(puma.home, (5, 1))
@@ -112,8 +112,8 @@ STRESS = """
 
 
 @pytest.mark.parametrize("rounds", [3, pytest.param(200, marks=pytest.mark.soak)])
-def test_solves_batches_moves_copies_collections_and_threads_in_any_order_never_crash(rounds):
-    """In a process of its own: what a bare address would end in is a segmentation fault."""
+def test_calls_in_any_order_and_in_threads_never_crash(rounds):
+    """It runs in a separate process, because a wrong address causes a segmentation fault."""
     code = textwrap.dedent(STRESS)
     command = [sys.executable, "-X", "faulthandler", "-c", code, str(rounds), *SOLVERS]
     done = subprocess.run(command, capture_output=True, text=True)
@@ -151,7 +151,7 @@ class WaitingSolver(Solver):
         return self.prepared
 
 
-def test_a_call_that_begins_while_another_is_under_way_is_refused(puma):
+def test_a_call_during_another_call_is_refused(puma):
     method = WaitingSolver()
     problem = Problem(puma, puma.forward(puma.home), solver=method)
     before = problem.search.arrays["target"].copy()

@@ -1,4 +1,4 @@
-"""The fixtures for people's own programs, in projects of their own."""
+"""The fixtures for tests of other programs, in separate projects."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 pytest_plugins = ["pytester"]
 
 ROOT = Path(__file__).parents[1]
-# By name, so it is found before the package is installed again. After that it is the same plugin.
+# By name, so that pytest finds it also if the package was installed without the entry point.
 PLUGIN = ("-p", "robot_ik.pytest_plugin", "-p", "no:cacheprovider", "-p", "no:hypothesispytest")
 
 
@@ -60,7 +60,7 @@ from robot_ik.hardware.dynamixel import DynamixelBus
 
 @pytest.fixture
 def virtual_arm_config():
-    return ArmConfig.generic("nobody's", ["a", "b"], -1.0, 1.0)
+    return ArmConfig.generic("two_joints", ["a", "b"], -1.0, 1.0)
 
 def test_port(virtual_port, virtual_bus, fault_script):
     bus = DynamixelBus(virtual_port, 1_000_000)
@@ -74,8 +74,8 @@ def test_port(virtual_port, virtual_bus, fault_script):
 """
 
 
-def test_projects_of_other_people(pytester: pytest.Pytester) -> None:
-    """In one child: what pytest imports and forgets in this process would be here twice."""
+def test_the_fixtures_work_in_other_projects(pytester: pytest.Pytester) -> None:
+    """It runs in one child process, because pytest would import the modules twice in this one."""
     page = (ROOT / "docs" / "how-to" / "testing.md").read_text(encoding="utf-8")
     examples = dict(
         re.findall(r"^```python file=(test_\w+)\.py\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
@@ -100,7 +100,7 @@ def test_the_entry_point_is_the_module() -> None:
     assert all(entry.name == "robot_ik.pytest_plugin" for entry in installed)
 
 
-def test_a_project_that_does_not_use_it_pays_nothing() -> None:
+def test_the_plugin_imports_no_large_module() -> None:
     heavy = [
         "numpy",
         "mujoco",
@@ -116,5 +116,5 @@ def test_a_project_that_does_not_use_it_pays_nothing() -> None:
         "import sys, pytest; before = set(sys.modules); import robot_ik.pytest_plugin;"
         f"print(sorted(set({heavy}) & (set(sys.modules) - before)))"
     )
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert said.stdout == "[]\n", said
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout == "[]\n", done

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-# A call through PyDLL keeps the interpreter: no other thread runs, as on a machine that halts.
+# A call through PyDLL keeps the GIL, so no other thread runs, as on a machine that halts.
 TESTS = """
 import ctypes
 from itertools import count
@@ -37,7 +37,7 @@ def test_plain():
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="its C library has no usleep")
-def test_what_fails_after_a_halt_is_tried_again(tmp_path: Path) -> None:
+def test_a_test_that_fails_after_a_halt_is_repeated(tmp_path: Path) -> None:
     plugin = Path(__file__).with_name("real_time.py")
     (tmp_path / "conftest.py").write_text(plugin.read_text().replace("HALT = 0.02", "HALT = 0.15"))
     (tmp_path / "test_halts.py").write_text(TESTS)
@@ -58,10 +58,10 @@ def test_what_fails_after_a_halt_is_tried_again(tmp_path: Path) -> None:
         cwd=tmp_path,
         check=False,
     )
-    said = [line.split(" - ")[0] for line in run.stdout.splitlines()]
-    assert "PASSED test_halts.py::test_late_once" in said, run.stdout
+    lines = [line.split(" - ")[0] for line in run.stdout.splitlines()]
+    assert "PASSED test_halts.py::test_late_once" in lines, run.stdout
     for name in ("late_always", "wrong", "plain"):
-        assert f"FAILED test_halts.py::test_{name}" in said
-    assert "3 failed, 1 passed, 6 warnings" in run.stdout  # one for each further try
-    assert "try 5" in said and "try 6" not in said
+        assert f"FAILED test_halts.py::test_{name}" in lines
+    assert "3 failed, 1 passed, 6 warnings" in run.stdout  # one warning for each further try
+    assert "try 5" in lines and "try 6" not in lines
     assert "tried again: the machine halted for 0." in run.stdout

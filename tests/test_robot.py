@@ -72,7 +72,7 @@ def test_a_urdf_is_a_robot(tmp_path):
     )
 
 
-def test_frozen_joints_stand_at_home(arm_file):
+def test_frozen_joints_are_at_home(arm_file):
     whole = load_robot(arm_file)
     part = load_robot(arm_file, joints=["wrist", "shoulder"])
     # The joints are in the order of the model.
@@ -85,7 +85,7 @@ def test_frozen_joints_stand_at_home(arm_file):
     np.testing.assert_allclose(part.jacobian(q), whole.jacobian(full)[:, [0, 2, 3, 4]], atol=1e-12)
 
 
-def test_measure_is_mujocos(arm_file):
+def test_measure_equals_mujoco(arm_file):
     robot = load_robot(arm_file)
     q = robot.sample(np.random.default_rng(1))
     data = mujoco.MjData(robot.model)
@@ -120,7 +120,7 @@ def test_limits_intersect_and_home_moves_inside(arm_file):
         robot.with_limits(lower, upper)
 
 
-def test_nothing_comes_farther_than_the_reach(arm_file):
+def test_no_position_is_beyond_the_reach(arm_file):
     robot = load_robot(arm_file)
     center, radius = robot.reach()
     assert center.tolist() == [0, 0, 0] and radius == pytest.approx(1.0 + 0.4 + 0.5 + 0.2)
@@ -134,7 +134,7 @@ def test_nothing_comes_farther_than_the_reach(arm_file):
             )
 
 
-def test_reach_of_rails_and_of_bases_that_float(tmp_path):
+def test_the_reach_of_slides_and_floating_bases(tmp_path):
     body = '<body name="b" pos="1 0 0">{}<geom size="1"/><site name="tip" pos="0 0 2"/></body>'
     for joint, expected in [
         ('<joint name="rail" type="slide" axis="0 1 0" range="-3 1" limited="true"/>', 5.0),
@@ -147,7 +147,7 @@ def test_reach_of_rails_and_of_bases_that_float(tmp_path):
         assert ball is None if expected is None else ball[1] == pytest.approx(expected)
 
 
-def test_copies_and_pickles_work_alone(arm_file):
+def test_copies_and_pickles_are_independent(arm_file):
     robot = load_robot(arm_file)
     q = robot.sample(np.random.default_rng(2))
     expected = robot.forward(q).matrix
@@ -160,13 +160,13 @@ def test_copies_and_pickles_work_alone(arm_file):
 # Wrong input
 
 
-def test_an_unknown_robot_lists_the_close_names():
+def test_an_unknown_robot_lists_close_names():
     with pytest.raises(UnknownRobotError, match="did you mean 'puma560'") as caught:
         load_robot("pumma560")
     assert "the path or text of an MJCF or URDF file" in str(caught.value)
 
 
-def test_broken_xml_tells_the_file_and_mujocos_reason(tmp_path):
+def test_malformed_xml_is_refused_with_the_file_and_the_reason(tmp_path):
     path = tmp_path / "broken.xml"
     path.write_text("<mujoco><worldbody><body><joint type='hinge'></body></worldbody></mujoco>")
     with pytest.raises(ModelError, match=r"broken\.xml") as caught:
@@ -179,7 +179,7 @@ def test_broken_xml_tells_the_file_and_mujocos_reason(tmp_path):
         load_robot(path)
 
 
-def test_unknown_joints_groups_and_frames_list_the_close_names(arm_file):
+def test_unknown_joints_groups_and_frames_list_close_names(arm_file):
     with pytest.raises(UnknownJointError, match="did you mean 'shoulder'"):
         load_robot(arm_file, joints=["sholder"])
     with pytest.raises(UnknownJointError, match="joint group"):
@@ -202,7 +202,7 @@ def test_wrong_joint_angles_are_refused(arm_file):
         robot.forward([np.nan, 0, 1, 0, 0, 0])
 
 
-def test_a_model_without_moving_joints_is_no_robot(tmp_path):
+def test_a_model_without_moving_joints_is_refused(tmp_path):
     path = tmp_path / "stone.xml"
     path.write_text(
         "<mujoco><worldbody><body name='b'><geom size='1'/></body></worldbody></mujoco>"
@@ -214,7 +214,7 @@ def test_a_model_without_moving_joints_is_no_robot(tmp_path):
         load_robot(path)
 
 
-def test_nothing_of_a_robot_can_be_changed_behind_its_back(arm_file):
+def test_a_robot_is_read_only(arm_file):
     robot = load_robot(arm_file)
     narrow = robot.with_limits(-0.5, 0.5)
     copies = (copy.copy(robot), copy.deepcopy(robot), pickle.loads(pickle.dumps(robot)))
@@ -238,7 +238,7 @@ def test_nothing_of_a_robot_can_be_changed_behind_its_back(arm_file):
     assert robot.attachment("tcp")[0] == node and not (robot.attachment("tcp")[1] == 7.0).any()
 
 
-def test_a_robot_says_in_a_line_what_it_is(arm_file):
+def test_the_repr_of_a_robot_is_one_line(arm_file):
     text = repr(load_robot(arm_file))
     assert text == "Robot('arm', 3 joints: shoulder, rail, wrist; tool 'tcp', 4 frames; arm.xml)"
     figure = repr(load_robot("humanoid"))
@@ -247,7 +247,7 @@ def test_a_robot_says_in_a_line_what_it_is(arm_file):
     )
 
 
-def test_a_step_is_checked_and_compiled_for_once():
+def test_a_step_is_checked_and_compiled_once():
     robot = load_robot("puma560")
     step = np.linspace(0.1, 0.6, 6)
     moved = robot.integrate(robot.home, step)

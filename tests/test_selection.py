@@ -1,4 +1,4 @@
-"""Bases, tools, chosen joints, stiffness and supports of robots, judged by MuJoCo."""
+"""Bases, tools, chosen joints, stiffness and supports of robots, measured by MuJoCo."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_only_joints_between_base_and_tool_move() -> None:
     home = body_positions(arm, arm.home)
     turned = body_positions(arm, arm.sample(np.random.default_rng(0)))
     moved = {name for name in home if not np.allclose(home[name], turned[name])}
-    assert moved == {"left_hand"}, "the forearm turns in its place, nothing else moves"
+    assert moved == {"left_hand"}, "the forearm only rotates, and no other body moves"
     assert np.allclose(arm.measure(arm.home).position, figure.measure(figure.home).position)
     q = arm.sample(np.random.default_rng(1))
     assert np.allclose(arm.forward(q).matrix, arm.measure(q).matrix, atol=1e-12)
@@ -116,7 +116,7 @@ def test_a_moved_foot_is_no_support() -> None:
     assert "front_right_paw" not in supported_frames(lion, ["front_right_paw"])
     assert len(supported_frames(lion, ["nose"])) == 4
     neck = lion.with_joints(["neck", "head"])
-    assert supported_frames(neck, ["nose"]) == (), "nothing moves the paws"
+    assert supported_frames(neck, ["nose"]) == (), "no joint moves the paws"
     assert rik.support_goals(rik.load_robot("puma560"), ["gripper"]) == []
 
 

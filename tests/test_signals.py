@@ -24,7 +24,7 @@ def guards() -> Iterator[list[ExitGuard]]:
 
 @pytest.fixture
 def calls() -> Iterator[list[int]]:
-    """Signals that reached the program's own handler of SIGTERM."""
+    """Signals that reached the program's handler of SIGTERM."""
     calls: list[int] = []
     before = signal.signal(signal.SIGTERM, lambda number, _frame: calls.append(number))
     yield calls

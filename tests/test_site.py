@@ -1,4 +1,4 @@
-"""The built site: complete, and readable by the browser as it is meant.
+"""The built site: it is complete, and a browser can read it.
 
 `make docs` installs Sphinx. The site is built once for this file.
 """

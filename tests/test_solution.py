@@ -1,4 +1,4 @@
-"""Solutions: what is reported about an outcome, good or bad."""
+"""Solutions: status, error, meaning and ``require``."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def puma():
     return load_robot("puma560")
 
 
-def test_require_gives_the_solution_or_says_how_far_off_it_is(puma):
+def test_require_returns_the_solution_or_raises_with_the_error(puma):
     good = solve(puma, PoseGoal.at(None, puma.forward(puma.home + 0.1)))
     assert good.require() is good
     bad = solve(puma, PositionGoal(None, (3, 0, 1)), solver="lm")
@@ -33,7 +33,7 @@ def test_every_status_has_its_meaning():
     assert repr(Status.STALLED.name) == "'STALLED'"
 
 
-def test_the_error_is_of_what_was_asked_for_only(puma):
+def test_the_error_has_only_the_parts_of_the_goal(puma):
     far = Budget(iterations=0)
     q = puma.home + 0.2
     pose = puma.forward(q)
@@ -57,7 +57,7 @@ def test_the_error_is_of_what_was_asked_for_only(puma):
     )
 
 
-def test_a_goal_of_which_a_part_weighs_nothing_is_met_by_the_other(puma):
+def test_a_goal_with_a_part_of_weight_zero_is_met_by_the_other_part(puma):
     pose = puma.forward(puma.home + 0.2)
     solution = solve(puma, PoseGoal(None, pose.position, (0, 0, 1, 0), angle_weight=0.0))
     assert (
@@ -66,6 +66,6 @@ def test_a_goal_of_which_a_part_weighs_nothing_is_met_by_the_other(puma):
     )
 
 
-def test_it_prints_in_a_line(puma):
+def test_the_repr_of_a_solution_is_one_line(puma):
     text = repr(solve(puma, PositionGoal(None, (3, 0, 1)), solver="lm"))
     assert text.startswith("Solution(UNREACHABLE, q=[") and "solver='lm'" in text

@@ -17,7 +17,7 @@ METHODS = DOCS / "reference" / "solvers"
 PLOTS = DOCS / "images" / "solvers"
 HEADINGS = [
     "Formula and source",
-    "What is ours",
+    "Differences from the sources",
     "When to use it, and when not",
     "Convergence",
     "Options",
@@ -47,12 +47,12 @@ def test_every_method_has_a_page_with_its_tables_and_its_picture(name: str) -> N
     assert f"(solvers/{name}.md)" in overview
 
 
-def test_pages_and_pictures_are_of_methods_that_are_there() -> None:
+def test_pages_and_pictures_are_of_existing_methods() -> None:
     assert {page.stem for page in METHODS.iterdir()} == set(SOLVERS)
     assert {picture.stem for picture in PLOTS.iterdir()} == set(SOLVERS)
 
 
-def test_measured_tables_have_a_row_for_every_method_that_can() -> None:
+def test_measured_tables_have_a_row_for_every_supporting_method() -> None:
     measure = script("measurements")
     found = {}
     for page in measure.PAGES:
@@ -76,7 +76,7 @@ def test_poses_called_singular_are_singular() -> None:
             assert beside[-1] > 1e-6 and not robot.outside(q) and not robot.outside(start)
 
 
-def test_a_picture_is_drawn_and_drawn_the_same_again(tmp_path: Path) -> None:
+def test_a_picture_is_drawn_reproducibly(tmp_path: Path) -> None:
     pytest.importorskip(
         "matplotlib", reason="pictures need the extra: pip install 'robot-ik-testbed[plots]'"
     )

@@ -1,4 +1,4 @@
-"""The tutorial: six pages, a picture a step, and commands that work on the servos they are for.
+"""The tutorial: six pages, a picture for each step, and commands that work on their servos.
 
 tests/test_docs.py runs the blocks of the pages. The commands of the page about a real arm name a
 serial port; here they run on virtual servos behind a pseudo terminal.
@@ -66,7 +66,7 @@ def test_every_picture_of_the_tutorial_is_on_a_page() -> None:
 
 @contextmanager
 def port_of(bus: VirtualBus) -> Iterator[str]:
-    """Serve virtual servos on a port that hears their own baud rate only."""
+    """Serve virtual servos on a port that accepts only their baud rate."""
     from robot_ik.hardware.virtual.pty import PtyPort  # not on Windows
 
     with PtyPort(bus, match_baud=True) as port:

@@ -1,4 +1,4 @@
-"""Weights that change between solves: no new problem, and the answers of a new problem."""
+"""Weights that change between solves: no new problem, and the solutions of a new problem."""
 
 from collections.abc import Iterator
 
@@ -65,7 +65,7 @@ def weighted_goals(robot: rik.Robot, weights: tuple[float, float]) -> dict[str, 
         "mass": rik.CenterOfMassGoal(None, (0.3, 0.3, 0.5), weight=first),
         "posture": rik.PostureGoal(q=robot.home + 0.4, weight=first),
         "joints": rik.PostureGoal(
-            q=robot.home + 0.4, joints={"joint1": first, "joint3": second}, only=True
+            q=robot.home + 0.4, joints={"joint1": first, "joint3": second}, only_named=True
         ),
     }
     return {
@@ -77,7 +77,7 @@ KINDS = tuple(weighted_goals(rik.load_robot("puma560"), (1.0, 1.0)))
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_other_weights_give_the_answer_of_a_new_problem(puma: rik.Robot, kind: str) -> None:
+def test_other_weights_give_the_solution_of_a_new_problem(puma: rik.Robot, kind: str) -> None:
     first, second = (weighted_goals(puma, weights)[kind] for weights in ((1.0, 1.0), (3.0, 0.2)))
     assert [goal.kind for goal in first] == [goal.kind for goal in second]
     expected = [
@@ -101,7 +101,7 @@ def test_a_pose_as_target_keeps_the_weights(puma: rik.Robot) -> None:
     assert np.array_equal(problem.solve().q, expected.q)
 
 
-def test_weights_of_a_refused_mapping_are_not_taken(puma: rik.Robot) -> None:
+def test_weights_of_a_refused_mapping_are_not_used(puma: rik.Robot) -> None:
     first, second = (conflicting_goals(puma, weight) for weight in (1.0, 4.0))
     problem = Problem(puma, first, solver="lm", budget=BUDGET)
     expected = problem.solve().q

@@ -19,7 +19,7 @@ def goal(puma):
 
 
 class Sink:
-    """A sink, and a source of joint angles; nothing of it may be asked."""
+    """A sink and a source of joint angles that must not be called."""
 
     def __init__(self, robot=None):
         self.robot = robot
@@ -82,11 +82,11 @@ def follow(robot, **options):
         (lambda r, goal: follow(r, tolerance=1), "tolerance: 1"),
     ],
 )
-def test_wrong_arguments_are_refused_in_a_sentence(puma, goal, call, message):
+def test_wrong_arguments_are_refused_with_a_message(puma, goal, call, message):
     with pytest.raises(RobotIkError, match=message):
         call(puma, goal)
 
 
-def test_a_name_of_no_frame_is_not_taken_for_the_tool():
+def test_an_unknown_frame_is_not_replaced_by_the_tool():
     with pytest.raises(UnknownFrameError):
         rik.load_robot("puma560", tool="")

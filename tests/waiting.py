@@ -1,4 +1,4 @@
-"""Waiting for what a thread, a process or a browser does: for the condition, never for a time."""
+"""Waiting for a condition of a thread, a process or a browser, and never for a time."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ from collections.abc import Callable
 from typing import TypeVar
 
 LONG = 300.0
-"""s. Even a slow and busy machine that must compile kernels is faster, so something hangs."""
+"""s. A busy machine that compiles kernels is faster, so a longer wait means a hang."""
 
 T = TypeVar("T")
 
 
-def wait_for(holds: Callable[[], T], what: str | Callable[[], str] = "waited in vain") -> T:
+def wait_for(
+    holds: Callable[[], T], what: str | Callable[[], str] = "the condition did not become true"
+) -> T:
     """Return ``holds()`` as soon as it is true; fail with ``what`` after ``LONG`` s."""
     end = time.monotonic() + LONG
     while not (found := holds()):

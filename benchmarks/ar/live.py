@@ -1,4 +1,4 @@
-"""Rate and age of the pictures of live augmented reality, and what they cost the session.
+"""Rate and age of the pictures of live augmented reality, and their load on the session.
 
     python -m benchmarks.ar.live [--seconds 10] [--robot humanoid] [--browser]
 
@@ -6,7 +6,7 @@ The first row is the processor time of one picture, which depends least on other
 A session runs with its page in this process: the figure follows a ball that moves. A client in
 another process takes the pictures of the synthetic camera, 640x480, as a page does. The session's
 clock is measured without pictures and with them. With ``--browser`` Chromium shows the page, too.
-It needs a machine that does nothing else; the load is printed.
+The machine must be idle otherwise. Its load is printed.
 """
 
 from __future__ import annotations
@@ -47,23 +47,23 @@ from robot_ik.testbed.session import Session
 
 PORT = 8790
 
-LEAST_RATE_HZ = 20.0
-"""Pictures a second that are wanted."""
+MIN_RATE_HZ = 20.0
+"""Smallest rate of pictures, per second."""
 
-LONGEST_AGE_MS = 120.0
-"""From the camera's picture to the page, at the median."""
+MAX_AGE_MS = 120.0
+"""Largest median time from the camera's picture to the page."""
 
-LEAST_TICK_SHARE = 0.99
-"""Ticks of the session with pictures, as a share of those without."""
+MIN_TICK_SHARE = 0.99
+"""Smallest tick rate of the session with pictures, as a share of the rate without."""
 
 _BALL_PERIOD = 6.0
-"""Seconds in which the ball goes round."""
+"""Duration of one turn of the ball, s."""
 
 _PICTURES = 120
-"""Pictures of which the processor time is taken."""
+"""Number of pictures whose processor time is measured."""
 
 _SETTLE = 3.0
-"""Seconds before a measurement, until the averaged rate contains new pictures only."""
+"""Time before a measurement, until the averaged rate contains only new pictures, s."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Clock:
     """The session's clock over some seconds.
 
     Attributes:
-        rate_hz: Ticks a second.
+        rate_hz: Ticks per second.
         p99_ms: 99th percentile of the time between two ticks.
     """
 
@@ -151,8 +151,8 @@ def clock_of(ticks: list[float], seconds: float) -> Clock:
 
 
 def browser_row(url: str, seconds: float) -> tuple[float, float]:
-    """Return pictures a second and their mean age in ms in Chromium without a GPU."""
-    from playwright.sync_api import sync_playwright  # here: only this row needs it
+    """Return pictures per second and their mean age in ms in Chromium without a GPU."""
+    from playwright.sync_api import sync_playwright  # only this row needs it
 
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=find_chromium(), args=list(CHROMIUM))
@@ -169,7 +169,7 @@ def browser_row(url: str, seconds: float) -> tuple[float, float]:
 
 
 def processor_times(robot: str) -> dict[str, float]:
-    """Return the processor time of each step of one picture in ms, the median of many."""
+    """Return the median processor time of each step of a picture, ms."""
     session = Session(Start(robot), beside=False)
     session.tick()
     view = session.view()
@@ -200,8 +200,8 @@ def processor_times(robot: str) -> dict[str, float]:
 
 
 def verdict(is_met: bool) -> str:
-    """Return the word that the table shows for a passed or failed limit."""
-    return "as wanted" if is_met else "NOT as wanted"
+    """Return the text for a passed or failed limit."""
+    return "within limit" if is_met else "NOT within limit"
 
 
 def main() -> None:
@@ -220,33 +220,33 @@ def main() -> None:
     with served(options.robot) as (_, page, ticks):
         time.sleep(_SETTLE)
         without = clock_of(ticks, seconds)
-        ours, theirs = multiprocessing.Pipe()
+        pipe, client_pipe = multiprocessing.Pipe()
         context = multiprocessing.get_context("spawn")
-        client = context.Process(target=watch, args=(page.url, theirs), daemon=True)
+        client = context.Process(target=watch, args=(page.url, client_pipe), daemon=True)
         client.start()
-        ours.recv()
+        pipe.recv()
         received = 0
-        while received < RATE_WINDOW:  # what compiles is compiled, and the means are new
+        while received < RATE_WINDOW:  # all code is compiled, and the means are new
             time.sleep(0.5)
-            ours.send("ages")
-            received += len(ours.recv())
+            pipe.send("ages")
+            received += len(pipe.recv())
         used = time.process_time()
         beside = clock_of(ticks, seconds)
         share = (time.process_time() - used) / seconds
-        ours.send("ages")
-        rows = np.array(ours.recv())
+        pipe.send("ages")
+        rows = np.array(pipe.recv())
         status = page.ar.live_status
         rate = (len(rows) - 1) / (rows[-1, 0] - rows[0, 0])
         ages = 1e3 * rows[:, 1]
         median = float(np.median(ages))
         slowest = float(np.percentile(ages, 90))
-        is_steady = beside.rate_hz >= LEAST_TICK_SHARE * without.rate_hz
-        print(f"pictures a second: {rate:.1f}, {verdict(rate >= LEAST_RATE_HZ)}")
+        is_steady = beside.rate_hz >= MIN_TICK_SHARE * without.rate_hz
+        print(f"pictures per second: {rate:.1f}, {verdict(rate >= MIN_RATE_HZ)}")
         print(
             f"age at the page: median {median:.0f} ms, p90 {slowest:.0f} ms, "
-            f"{verdict(median <= LONGEST_AGE_MS)}"
+            f"{verdict(median <= MAX_AGE_MS)}"
         )
-        print(f"tracking {status.track_ms:.1f} ms, drawing {status.draw_ms:.1f} ms a picture")
+        print(f"tracking {status.track_ms:.1f} ms, drawing {status.draw_ms:.1f} ms per picture")
         print(
             f"session's clock: {without.rate_hz:.1f} ticks/s (wanted {RATE}), p99 "
             f"{without.p99_ms:.1f} ms; with pictures {beside.rate_hz:.1f} ticks/s, p99 "
@@ -256,7 +256,7 @@ def main() -> None:
         if options.browser:
             shown_rate, shown_age = browser_row(page.url, seconds)
             print(f"in Chromium without a GPU: {shown_rate:.1f} pictures/s, {shown_age:.0f} ms old")
-        ours.send("end")
+        pipe.send("end")
         client.join()
 
 

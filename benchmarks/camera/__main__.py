@@ -1,11 +1,11 @@
-"""Measure the camera on synthetic pictures with known truth, beside the limits of each figure.
+"""Measure the camera on synthetic pictures with known truth, and compare with limits.
 
     python -m benchmarks.camera [--rows NAME ...] [--json FILE]
 
 Accuracy is the same on every machine. Times are processor time of one thread, the best of three
-rounds. Wall-clock times and delays depend on what else runs. Ctrl-C keeps what is done.
+rounds. Wall-clock times and delays depend on other programs. Ctrl-C keeps the rows that are done.
 
-Exit code: 0 where every row was measured and is within its limits, 1 otherwise, 2 for wrong input.
+Exit code: 0 if every row was measured and is within its limits, 1 otherwise, 2 for wrong input.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def argument_parser() -> argparse.ArgumentParser:
 
 
 def chosen_rows(names: Sequence[str], skipped: Sequence[str] = ()) -> list[Row]:
-    """Return the rows of these names, all without names, except the skipped ones.
+    """Return the rows of these names, or all rows without names, except the skipped ones.
 
     Raises:
         OptionError: No such row, or no row is left.
@@ -101,7 +101,7 @@ def measure(
             with terminal.running("measuring"):
                 measured.measure(rows, effort, terminal.progress)
         finally:
-            # An interrupt comes through here as well: what is done is kept and shown.
+            # After an interrupt, too, the measured rows are saved and shown.
             if measured.figures:
                 print_figures(measured)
                 if file is not None:
@@ -113,13 +113,15 @@ def measure(
 
 
 def print_figures(measured: MeasuredRows) -> None:
-    """Print what was measured, and what was not."""
+    """Print the figures and the names of unmeasured rows."""
     remarks = []
     if measured.unmeasured:
         remarks.append(f"not measured: {', '.join(measured.unmeasured)}")
     if not measured.complete:
         remarks.append("not all measured")
-    figures = ((name, one) for name, row in measured.figures.items() for one in row)
+    figures = (
+        (name, quantity) for name, quantities in measured.figures.items() for quantity in quantities
+    )
     show_quantities("row", figures, *remarks)
 
 

@@ -127,7 +127,7 @@ def board_frame(
 
 
 def marker(effort: Effort) -> Iterator[Quantity]:
-    """Measure corners, pose and wrong branches of one 50 mm marker at three distances."""
+    """Measure corners, pose and wrong pose solutions of one 50 mm marker at three distances."""
     target = marker_target(MARKER, STANDARD_SIZE, DICTIONARY)
     flips = 0
     missed = 0
@@ -171,13 +171,13 @@ def _boards(
     rng = np.random.default_rng([effort.seed, side, round(1000 * distance), hidden])
     for number in range(effort.count(count)):
         pose = random_pose(STANDARD_CAMERA, rng, distance, size=size, tilt_deg=(0.0, 60.0))
-        cover = _half(pose, size, rng) if hidden else None
+        cover = _half_outline(pose, size, rng) if hidden else None
         margin = GAP / STANDARD_SIZE
         frame = board_frame(pose, target, rng, margin=margin, cover=cover, number=number)
         yield pose, target.find(frame, STANDARD_CAMERA)
 
 
-def _half(pose: Pose, size: float, rng: np.random.Generator) -> Array:
+def _half_outline(pose: Pose, size: float, rng: np.random.Generator) -> Array:
     """Return the outline (4, 2), px, of an object that hides half of a board, on a random side."""
     angle = rng.uniform(0.0, 2.0 * np.pi)
     far = 1.5 * size
@@ -245,7 +245,7 @@ def clutter(effort: Effort) -> Iterator[Quantity]:
 
 
 def projection(effort: Effort) -> Iterator[Quantity]:
-    """Measure the middles of drawn spheres against OpenCV's projection."""
+    """Compare the centres of drawn spheres with OpenCV's projection."""
     yield from drawing_errors.projection(effort.seed)
 
 
@@ -255,7 +255,7 @@ def overlay(effort: Effort) -> Iterator[Quantity]:
 
 
 def latency(effort: Effort) -> Iterator[Quantity]:
-    """Measure what is left of a delay with each of Azuma's remedies, without limits."""
+    """Measure the remaining delay with each of Azuma's remedies, without limits."""
     yield from drawing_errors.latency(_QUICK_LATENCY_SECONDS if effort.quick else _LATENCY_SECONDS)
 
 

@@ -1,9 +1,9 @@
 """Accuracy and consistency of locate, hand-eye and ``verify --fit``, and the gain of prediction.
 
-The rows use only what a user can know. The pose of the camera comes from one picture of a sheet on
+The rows use only what a user knows. The pose of the camera comes from one picture of a sheet on
 the table or from the views of the arm. The pose of the board in the hand comes from the drawing of
-its mount, which has manufacturing errors, or from these views. The row ``zeros`` runs the whole
-job, which moves servos and takes pictures.
+its mount, which has manufacturing errors, or from these views. The row ``zeros`` runs the complete
+command, which moves servos and takes pictures.
 """
 
 from __future__ import annotations
@@ -134,15 +134,17 @@ def consistency(effort: Effort) -> Iterator[Quantity]:
             observable = np.flatnonzero(fit.sigma > 0.0)
             covariance = fit.covariance[np.ix_(observable, observable)]
             results.append(((fit.offsets - hidden)[observable], covariance))
-    least, most = _NEES_RANGE
+    lower, upper = _NEES_RANGE
     for what, errors in cameras.items():
         yield Quantity(
-            f"{what}, squared error over the stated", float(np.mean(errors)), "", most, least
+            f"{what}, squared error over the stated", float(np.mean(errors)), "", upper, lower
         )
     for case, results in zeros.items():
         degrees = np.degrees(np.concatenate([error for error, _ in results]))
         nees = float(np.mean([_nees(error, covariance) for error, covariance in results]))
-        yield Quantity(f"{case}: joint zeros, squared error over the stated", nees, "", most, least)
+        yield Quantity(
+            f"{case}: joint zeros, squared error over the stated", nees, "", upper, lower
+        )
         yield Quantity(f"{case}: joint zeros, RMS", rms(degrees), "°", 0.1)
         yield Quantity(f"{case}: joint zeros, worst", float(np.abs(degrees).max()), "°", 0.1)
         counted = min(len(error) for error, _ in results)
@@ -276,7 +278,7 @@ def joint_zero_offsets(effort: Effort) -> Iterator[Quantity]:
         rng = np.random.default_rng(seed)
         hidden = rng.uniform(-_LARGEST_DEG, _LARGEST_DEG, robot.nv)
         offsets = dict(zip(robot.joints, hidden.tolist(), strict=True))
-        # The job knows the board by the drawing of its mount, with the manufacturing error.
+        # The pose of the board is that of the drawing of its mount, with the manufacturing error.
         board = _mounted(scene.cube_offset, rng)
         request = VerifyRequest(
             _VERIFIED_ROBOT,

@@ -56,7 +56,7 @@ class Condition:
 
     Attributes:
         name: Name of the camera in the results.
-        sensor: What the camera does to the light.
+        sensor: Model of the sensor.
         single: Position errors of one marker at 0.3, 0.6 and 1.0 m, mm.
         board: Position errors of a board at these distances, mm. Empty: boards are not measured.
         bias: Corner bias along the diagonals, px.

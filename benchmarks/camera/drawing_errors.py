@@ -36,7 +36,7 @@ DISTORTED = CameraIntrinsics(
     640, 480, 612.0, 605.0, 331.3, 228.9, (-0.28, 0.09, 0.001, -0.0007, 0.0)
 )
 PINHOLE = CameraIntrinsics(640, 480, 612.0, 605.0, 331.3, 228.9)
-#: Azuma's remedies for delay: what part of the delay is left, and the options.
+#: Azuma's remedies for delay: the remaining part of the delay, and the options.
 REMEDIES: dict[str, tuple[float, LatencyOptions]] = {
     "nothing": (1.0, LatencyOptions("latest")),
     "less delay (half)": (0.5, LatencyOptions("latest")),
@@ -74,7 +74,7 @@ _SETTLING = 0.5
 
 @dataclass(frozen=True)
 class DrawingErrors:
-    """Distances between where things are drawn and where they belong, px.
+    """Distances between drawn and true positions, px.
 
     Attributes:
         rms: Root mean square.

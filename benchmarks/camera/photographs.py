@@ -52,7 +52,7 @@ _SUBPIX_STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.01)
 # Largest time of the first command, s.
 _FIRST_SECONDS = 20.0
 # Time after which the first command is stopped, s.
-_PATIENCE = 300.0
+_TIMEOUT = 300.0
 
 
 def photographs(effort: Effort) -> Iterator[Quantity]:
@@ -235,7 +235,7 @@ def first_command(_effort: Effort) -> Iterator[Quantity]:
             cwd=folder,
             capture_output=True,
             check=False,
-            timeout=_PATIENCE,
+            timeout=_TIMEOUT,
         )
         took = time.monotonic() - began
     yield Quantity(

@@ -1,4 +1,4 @@
-"""Seeded sets of pictures and views with exact truth, to measure the camera with.
+"""Seeded sets of pictures and views with exact truth, for the camera's benchmark.
 
 The standard set is a flat printed marker of 50 mm before a blotchy wall, as the standard camera
 sees it at three distances.
@@ -82,7 +82,7 @@ def standard_set(
         dictionary: Of the marker.
         marker_id: In the dictionary.
         camera: The optics.
-        sensor: What the camera makes of the light.
+        sensor: Model of the sensor.
         tilt_deg: Range of tilts, degrees.
     """
     rng = np.random.default_rng([seed, round(distance * 1000)])

@@ -20,12 +20,12 @@ _FEWEST = 3
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is measured.
+    """Extent of a run.
 
     Attributes:
         quick: Measure a tenth of the pictures, for a first impression.
         seed: Of pictures and noise.
-        photographs: Folder of real pictures without markers; empty for none.
+        photographs: Folder of real pictures without markers. Empty: no such pictures.
     """
 
     quick: bool = False
@@ -33,7 +33,7 @@ class Effort:
     photographs: str = ""
 
     def count(self, whole: int) -> int:
-        """Return how many of ``whole`` pictures to measure."""
+        """Return the number of pictures to measure, out of ``whole``."""
         return max(_FEWEST, whole // _QUICK_PART) if self.quick else whole
 
 
@@ -55,7 +55,7 @@ class Row:
     function: str
 
     def measure(self, effort: Effort) -> Iterator[Quantity]:
-        """Return the figures as they are ready."""
+        """Yield the figures."""
         measure: Measure = pkgutil.resolve_name(self.function)
         yield from measure(effort)
 

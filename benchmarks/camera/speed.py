@@ -1,7 +1,7 @@
-"""How long it takes to detect, to draw and to give goals.
+"""Times of detection, drawing and goals.
 
-Processor time of one thread, without OpenCV's threads, is the time on a core of its own. Time by
-the clock, with OpenCV's threads, is the time that a user waits. It depends on what else runs. Each
+Processor time of one thread, without OpenCV's threads, is the time on a dedicated core. Time by
+the clock, with OpenCV's threads, is the time that a user waits. It depends on other programs. Each
 is the best of three rounds of a picture, and the median over pictures. Delays are by the clock.
 """
 
@@ -67,9 +67,9 @@ CAMERAS = (
         1280, 720, 1000.0, 1000.0, 643.0, 357.0, STANDARD_CAMERA.distortion, name="720p"
     ),
 )
-# Wanted time of one marker by the width of the picture, ms.
+# Time limit of one marker by the width of the picture, ms.
 _MARKER_WANTED = {640: 4.0, 1280: 12.0}
-# Wanted time of boards by columns and rows, ms. Of the last one only a part is fitted.
+# Time limit of boards by columns and rows, ms. Of the last one only a part is fitted.
 _BOARDS_WANTED = {(3, 3): 14.0, (5, 4): 30.0, (6, 4): 35.0, (8, 6): 33.0}
 # Processor time of the light of a synthetic picture, ms.
 _EXPOSURE_WANTED = 35.0
@@ -115,7 +115,7 @@ class ElapsedTimes:
 
 
 def milliseconds(work: Callable[[Any], object], items: Sequence[Any]) -> ElapsedTimes:
-    """Return how long ``work`` takes for one of the ``items``."""
+    """Return the time of ``work`` for one of the ``items``."""
     # Compile and warm up.
     for item in items:
         work(item)

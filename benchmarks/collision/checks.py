@@ -103,7 +103,7 @@ def postures(robot: rik.Robot, rng: np.random.Generator) -> np.ndarray:
 
 
 def smallest_times(functions: list[Callable[[], object]]) -> list[float]:
-    """Return the smallest time of each function, s. Their rounds take turns."""
+    """Return the smallest time of each function, s. Their rounds alternate."""
     best = [np.inf] * len(functions)
     for function in functions:
         function()

@@ -6,7 +6,7 @@ Random short lines in joint space, between plates of 0.5 mm and slots of 2 to 20
 until the given number is proven free. Each proven line is sampled at steps of 0.001 rad or m, and
 ``mj_collision`` judges every sample. A contact ends the program with an error. Refuted lines
 are judged too: MuJoCo must find a part nearer than the margin at the place that is named. With
-``--state`` an interrupted run goes on after the last finished hall.
+``--state`` an interrupted run continues after the last finished hall.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ LENGTHS = (0.02, 0.1, 0.4)
 EDGES_PER_HALL = 200
 PLATES = 10
 MAX_TRIES = 60
-"""Places that are tried for plates."""
+"""Number of positions that are tried for plates."""
 
 THICKNESS = 5e-4
 """m."""

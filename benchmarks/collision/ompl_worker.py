@@ -17,7 +17,7 @@ from ompl import base, geometric, util
 
 
 class Checker:
-    """Yes or no of a posture by ``mj_collision``."""
+    """Validity of a posture by ``mj_collision``."""
 
     def __init__(self, task: dict[str, Any]) -> None:
         self.model = mujoco.MjModel.from_binary_path(task["model"])

@@ -26,7 +26,7 @@ MARGIN = 0.002
 
 
 def obstacles() -> list[rik.Box]:
-    """A board beside the robot and a table below it."""
+    """Return a board beside the robot and a table below it."""
     return [
         rik.Box("board", size=(0.3, 0.1, 0.4), pose=rik.Pose((0.5, 0.2, 0.4))),
         rik.Box("table", size=(1.5, 1.5, 0.02), pose=rik.Pose((0.0, 0.0, -0.05))),
@@ -34,7 +34,7 @@ def obstacles() -> list[rik.Box]:
 
 
 def free_postures(avoid: rik.CollisionAvoidance, count: int, seed: int) -> np.ndarray:
-    """Random postures (count, nq) that keep a little more than the margin."""
+    """Return random postures (count, nq) that keep a little more than the margin."""
     rng = np.random.default_rng(seed)
     robot = avoid.scene.robot
     postures: list[np.ndarray] = []
@@ -45,7 +45,7 @@ def free_postures(avoid: rik.CollisionAvoidance, count: int, seed: int) -> np.nd
 
 
 def solve_all_goals(avoid: rik.CollisionAvoidance) -> str:
-    """Cells: touching answers without the condition, solved with it, and microseconds."""
+    """Return cells: colliding answers without the condition, solved with it, and times in us."""
     robot = avoid.scene.robot
     poses = [robot.forward(q) for q in free_postures(avoid, GOALS, 1)]
     plain = rik.Problem(robot, poses[0])
@@ -73,7 +73,7 @@ def solve_all_goals(avoid: rik.CollisionAvoidance) -> str:
 
 
 def certify_edges(avoid: rik.CollisionAvoidance) -> str:
-    """Cells: proven, refuted and undecided edges, and the median of milliseconds."""
+    """Return cells: proven, refuted and undecided edges, and the median time in ms."""
     rows = free_postures(avoid, EDGES + 1, 2)
     counts = [0, 0, 0]
     times = []

@@ -33,7 +33,7 @@ print(imported - began, time.process_time() - imported)
 
 
 def write_files(robot: str, folder: Path) -> dict[str, Path]:
-    """Write the arm file as it is, and with a table ``[collisions]``."""
+    """Write the arm file without and with a table ``[collisions]``."""
     text = Path(ArmConfig.load(robot).file or "").read_text(encoding="utf-8")
     boxes = "".join(
         f'<geom type="box" size=".05 .05 .05" pos="{x:.3f} {y:.3f} .1"/>'

@@ -3,7 +3,7 @@
     git worktree add FOLDER COMMIT
     taskset -c 0 python -m benchmarks.collision.unchanged FOLDER [--rounds 5]
 
-Both checkouts solve the same poses, in turn, each in a process of its own. The answers are compared
+Both checkouts solve the same poses, in turn, each in its own process. The answers are compared
 bit by bit. A time is the smallest processor time of a call over all rounds, so other programs on
 the machine count little.
 """

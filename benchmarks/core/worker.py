@@ -6,8 +6,8 @@
     python worker.py compile ROBOT METHOD
     python worker.py traces ROBOT METHOD GOALS SEED FILE
 
-Prints one line of JSON. It knows the calls of both designs: the solver that takes a problem, and
-the problem that owns its solver.
+Prints one line of JSON. It supports the calls of both designs: a solver that takes a problem, and
+a problem that owns its solver.
 """
 
 from __future__ import annotations

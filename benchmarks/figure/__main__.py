@@ -3,10 +3,10 @@
     python -m benchmarks.figure [--count N] [--json]
 
 MuJoCo judges the motions by the true shapes and by inverse dynamics. Times are processor times of
-one thread, the least of three runs. The comparison with mink needs `pip install mink daqp`. Without
-it that row is not measured.
+one thread, the smallest of three runs. The comparison with mink needs `pip install mink daqp`.
+Without it that row is not measured.
 
-Exit code: 0 where every measured row is as wanted, 1 otherwise, 2 for wrong input.
+Exit code: 0 where every measured row is within its limits, 1 otherwise, 2 for wrong input.
 """
 
 from __future__ import annotations

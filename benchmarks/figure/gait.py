@@ -110,7 +110,7 @@ def _strides(figure: Figure, walk: Walk, times: Array) -> tuple[dict[str, Array]
 
 
 def _clearance(figure: Figure, walk: Walk, times: Array) -> float:
-    """Return the least height of a sole in the mid swings of whole steps, m."""
+    """Return the smallest height of a sole in the mid swings of whole steps, m."""
     lowest = np.inf
     for side, falls in enumerate(walk.falls):
         for (_, _, off), (_, strike, next_off) in itertools.pairwise(falls):

@@ -22,7 +22,7 @@ from robot_ik.ports import Array
 _SUPPORT_HEIGHT = 0.003
 """A shape lower than this supports the figure, m."""
 
-_LEAST_FORCE = 0.2
+_MIN_FORCE = 0.2
 """Share of the weight above which a zero-moment point counts."""
 
 _NEAR_MARGIN = -0.01
@@ -34,7 +34,7 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True)
 class MotionMeasure:
-    """What MuJoCo finds in some frames.
+    """Measures of some frames by MuJoCo.
 
     Attributes:
         frames: Number of frames.
@@ -43,8 +43,8 @@ class MotionMeasure:
         penetration_mm: Largest depth of the feet's shapes in the floor.
         inside: Share of supported frames with the zero-moment point inside the soles.
         nearly_inside: Share with the point at most 10 mm outside.
-        worst_margin_mm: Least margin of the zero-moment point, negative outside.
-        least_force: Least vertical force of the floor, body weights.
+        worst_margin_mm: Smallest margin of the zero-moment point, negative outside.
+        least_force: Smallest vertical force of the floor, body weights.
         largest_force: Largest vertical force of the floor, body weights.
         outside_limits: Frames with a joint outside its limits.
         too_fast: Frames with a joint above its speed limit.
@@ -181,7 +181,7 @@ def _margins(soles: Soles, contact: NDArray[np.int64], points: Array, weights: A
             if contact[i, side] != AIR
         ]
         corners = np.concatenate(supports) if supports else np.zeros((0, 2))
-        if len(corners) and weights[i] > _LEAST_FORCE:
+        if len(corners) and weights[i] > _MIN_FORCE:
             margins.append(hull_margin(corners, points[i]))
     return np.array(margins) if margins else np.array([np.inf])
 

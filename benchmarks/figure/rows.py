@@ -30,13 +30,13 @@ from robot_ik.figure.walk import Walk, walk
 from robot_ik.ports import Array
 
 MotionRow = tuple[str, Quantity]
-"""Name of a motion, and what was measured of it."""
+"""Name of a motion, and one of its quantities."""
 
 _REPEATS = 3
-"""Times are the least of this many runs: other programs make a run longer, never shorter."""
+"""Number of runs. The smallest time counts, because other programs only make a run longer."""
 
 _TRIES_PER_BALL = 60
-"""Balls that are drawn at most for each ball that is measured."""
+"""Largest number of random balls for each measured ball."""
 
 _NEAR_BALLS = ((0.3, -0.4, 0.9), (0.5, 0.4, 1.5))
 """Corners of the box of balls in front of the chest, m."""
@@ -83,7 +83,7 @@ def straight_walk(figure: Figure) -> Walk:
 
 
 def motion_rows(name: str, measure: MotionMeasure) -> list[MotionRow]:
-    """Return the rows that every walk has."""
+    """Return the rows of every walk."""
     inside = 100 * measure.inside
     nearly_inside = 100 * measure.nearly_inside
     quantities = [
@@ -101,7 +101,7 @@ def motion_rows(name: str, measure: MotionMeasure) -> list[MotionRow]:
 
 
 def walk_quantities(measure: MotionMeasure, gait: GaitMeasure) -> list[Quantity]:
-    """Return what is measured of the straight walk beside the rows of every walk."""
+    """Return the additional rows of the straight walk."""
     quantities = [
         Quantity("least vertical force", measure.least_force, "body weights", least=0.7),
         Quantity("largest vertical force", measure.largest_force, "body weights", most=1.3),
@@ -168,7 +168,7 @@ def _motion_of(abilities: Abilities, ball: Array, decision: Decision, arm: str) 
 def _hand_quantities(
     name: str, rows: list[tuple[MotionMeasure, float]], count: int
 ) -> list[Quantity]:
-    """Return what is measured of reaches, bends or jumps."""
+    """Return the rows of reaches, bends or jumps."""
     measures = [measure for measure, _ in rows]
     error_mm = 1e3 * max(error for _, error in rows)
     inside = 100 * float(np.mean([measure.inside for measure in measures]))

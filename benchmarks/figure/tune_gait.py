@@ -1,4 +1,4 @@
-"""Tune the numbers of the walk by an evolution strategy against the rows of the benchmark.
+"""Tune the parameters of the walk by an evolution strategy against the rows of the benchmark.
 
     python -m benchmarks.figure.tune_gait [--generations N] [--seed N]
 
@@ -44,7 +44,7 @@ class TuneOptions:
         generations: Number of generations.
         seed: Seed of the candidates.
         step: Standard deviation of the first candidates, as a share of each field.
-        least_scale: Least scale of a field. A field near zero changes by this.
+        min_scale: Smallest scale of a field. A field near zero changes by this.
         margin: Share of a bound by which a row must keep it, so that rounding does not decide.
         curve_weight: Weight of the distance from the norm.
     """
@@ -52,7 +52,7 @@ class TuneOptions:
     generations: int = 100
     seed: int = 0
     step: float = 0.02
-    least_scale: float = 0.05
+    min_scale: float = 0.05
     margin: float = 0.002
     curve_weight: float = 0.01
 
@@ -169,7 +169,7 @@ def gait_of(values: Array) -> Gait:
 def tune(figure: Figure, options: TuneOptions) -> Iterator[tuple[Gait, float]]:
     """Yield the best gait and its cost after each generation."""
     first = np.array([getattr(WALK, name) for name in TUNED])
-    scales = options.step * np.maximum(np.abs(first), options.least_scale)
+    scales = options.step * np.maximum(np.abs(first), options.min_scale)
 
     def function(values: Array) -> float:
         return cost(figure, gait_of(values), options)
@@ -190,8 +190,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     defaults = TuneOptions()
     parser.add_argument("--generations", type=int, default=defaults.generations)
     parser.add_argument("--seed", type=int, default=defaults.seed)
-    asked = parser.parse_args(arguments)
-    options = replace(defaults, generations=asked.generations, seed=asked.seed)
+    parsed = parser.parse_args(arguments)
+    options = replace(defaults, generations=parsed.generations, seed=parsed.seed)
     figure = load_figure()
     print(f"cost of the present walk: {cost(figure, WALK, options):.5f}")
     best = WALK

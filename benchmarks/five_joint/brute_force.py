@@ -1,6 +1,6 @@
 """Brute force for arms with five joints: independent of the closed form of ``robot_ik``.
 
-``Search`` knows only the joint axes of MuJoCo at q = 0. It lays a grid over the last two joints.
+``Search`` uses only the joint axes of MuJoCo at q = 0. It lays a grid over the last two joints.
 For each pair the position fixes the first three joints up to two choices each, by plane
 trigonometry. The best pair is refined by smaller and smaller grids.
 """
@@ -30,7 +30,7 @@ LIMIT_SLACK = 1e-9
 
 @dataclass(frozen=True)
 class Best:
-    """The best configuration that was found: joint angles (5,), angle in radians."""
+    """The best configuration: joint angles (5,), angle in radians."""
 
     q: Array
     angle: float
@@ -97,7 +97,7 @@ class Search:
         wrist_turn = Rotation.from_rotvec(last_two[:, :1] * self.axes[3])
         tool = self.points[4] + roll_turn.apply(self.tool - self.points[4])
         tool = self.points[3] + wrist_turn.apply(tool - self.points[3])
-        found: Best | None = None
+        best: Best | None = None
         for back, elbow in itertools.product((False, True), (1.0, -1.0)):
             first_three = self._close(position, tool, back, elbow)
             q = self._wrapped(np.column_stack([first_three, last_two]))
@@ -107,9 +107,9 @@ class Search:
             q = q[inside]
             angles = self._angles(q, rotation, axis)
             k = int(np.argmin(angles))
-            if found is None or angles[k] < found.angle:
-                found = Best(q[k], float(angles[k]))
-        return found
+            if best is None or angles[k] < best.angle:
+                best = Best(q[k], float(angles[k]))
+        return best
 
     def _close(self, position: Array, tool: Array, back: bool, elbow: float) -> Array:
         """Return the first three joints (n, 3) that bring tool points (n, 3) to a position."""

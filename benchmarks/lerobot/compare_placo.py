@@ -5,7 +5,7 @@
     python benchmarks/lerobot/compare_placo.py ENV/bin/python --write
 
 Both get the same targets and starts. MuJoCo measures the pose of every answer. ``--write`` puts the
-table into docs/how-to/lerobot.md. placo calls are LeRobot's, see ``placo_worker.py``.
+table into docs/how-to/lerobot.md. The calls of placo are those of LeRobot, see ``placo_worker.py``.
 """
 
 from __future__ import annotations

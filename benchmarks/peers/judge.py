@@ -55,7 +55,7 @@ def judged(folder: Path) -> dict[str, Any]:
 
 
 def _cell(robot: Robot, key: str, problems: Any, solutions: Any) -> dict[str, Any]:
-    """Return what is measured of one set of problems."""
+    """Return the results of one set of problems."""
     q = solutions[f"{key}_q"]
     cpu = solutions[f"{key}_cpu"]
     targets = problems[f"{key}_targets"][: len(q)]

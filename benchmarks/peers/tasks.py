@@ -42,16 +42,16 @@ _UNREACHABLE = 30
 """Number of poses out of reach."""
 
 _PROBES = 20
-"""Joint angles at which the forward kinematics are compared, and the least singular problems."""
+"""Number of compared forward kinematics, and smallest number of singular problems."""
 
 _BASE = 7
 """Numbers of a free base in qpos."""
 
 _JOINT_SHARE = 0.5
-"""Way of the joints to random angles in the figure's problems, as a share."""
+"""Motion of the joints towards random angles in the figure's problems, as a share."""
 
 _BASE_WAY = 0.1
-"""Largest way of the figure's base along each axis, m."""
+"""Largest motion of the figure's base along each axis, m."""
 
 
 def write_task(name: str, folder: Path, count: int, seed: int) -> Path:

@@ -3,8 +3,8 @@
     python worker.py LIBRARY FOLDER SECONDS
 
 LIBRARY is a row of ``LIBRARIES`` or FILE.py:CLASS. FOLDER holds the files of ``tasks``. Solutions
-and times go into ``solutions.npz`` and ``report.json`` in it. Nothing is judged here. A time is
-that of a whole call: an array in, joint angles out, with all conversions, restarts and limits.
+and times go into ``solutions.npz`` and ``report.json`` in it. ``judge`` checks them. A time is that
+of a whole call: an array in, joint angles out, with all conversions, restarts and limits.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _WARM_UP = 5
 """Solves before each set whose times do not count."""
 
 _LEAST_PROBLEMS = 20
-"""Least number of problems of a set, also beyond its time."""
+"""Smallest number of problems of a set, even after its time is over."""
 
 _ROUNDING = 1e-9
 """Radians by which rounding may exceed a joint limit."""
@@ -104,7 +104,7 @@ class Library:
     settings = ""
 
     def setup(self, task: Task) -> bool:
-        """Import the library and read the robot. Return False if it cannot serve the task."""
+        """Import the library and read the robot. Return False if it does not support the task."""
         raise NotImplementedError
 
     def solve(self, target: Array, start: Array) -> Array | None:

@@ -136,7 +136,7 @@ def _with_bounds(quantity: Quantity | None) -> str:
 
 def prediction(data: Data, _others: Data) -> str:
     """Return a table of the errors of a waving hand by the age of its picture."""
-    lines = ["| age | as it was seen | predicted |", "| ---: | ---: | ---: |"]
+    lines = ["| age | not predicted | predicted |", "| ---: | ---: | ---: |"]
     for delay, *values in data["prediction"]:
         lines.append(
             f"| {1e3 * delay:.0f} ms | {' | '.join(f'{1e3 * value:.1f}' for value in values)} |"
@@ -159,7 +159,7 @@ def latency_options(data: Data, _others: Data) -> str:
 
 
 def headlines(data: Data, others: Data) -> str:
-    """Return a table for the front page, with a few figures and the command of each."""
+    """Return a table for the README, with a few figures and the command of each."""
 
     def of(row: str, start: str) -> str:
         chosen = [

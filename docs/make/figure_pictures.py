@@ -13,14 +13,15 @@ import cv2
 import numpy as np
 
 from robot_ik.camera.drawing.faces import surface_points
+from robot_ik.camera.drawing.framing import fitted_camera, portrait_lens
 from robot_ik.camera.drawing.studio import SEAMLESS, Body, photograph
 from robot_ik.camera.image import write_image
-from robot_ik.commands.figure_runs import FigureRequest, FilmMaker, run_figure, watch
+from robot_ik.commands.figure_film import FilmMaker
+from robot_ik.commands.figure_runs import FigureRequest, run_figure, watch
 from robot_ik.figure.abilities import Abilities, load_abilities
 from robot_ik.figure.figure import Figure, load_figure
 from robot_ik.figure.session import FigureFrame
 from robot_ik.ports import Array, Image
-from robot_ik.testbed.gallery import fitted_camera, lens
 
 FOLDER = Path(__file__).resolve().parents[1] / "images" / "figure"
 
@@ -47,7 +48,7 @@ def frames_for(abilities: Abilities, ball: tuple[float, float, float]) -> list[F
 
 
 def hand_error(figure: Figure, frame: FigureFrame) -> float:
-    """Return the distance of the ball and the acting hand, m."""
+    """Return the distance between the ball and the acting hand, m."""
     hand = figure.hands[frame.decision.arm or "right"]
     return float(np.linalg.norm(figure.robot.forward(frame.q, hand).position - frame.ball))
 
@@ -55,8 +56,8 @@ def hand_error(figure: Figure, frame: FigureFrame) -> float:
 def strip(
     figure: Figure, q: Array, count: int, view_deg: tuple[float, float], *, follow: bool = False
 ) -> Image:
-    """Return some of the frames (n, nq) beside each other, painted."""
-    optics = lens(2 * _STRIP_WIDTH, 560)
+    """Return a picture of ``count`` of the frames (n, nq) beside each other."""
+    optics = portrait_lens(2 * _STRIP_WIDTH, 560)
     indices = np.linspace(0, len(q) - 1, count).astype(int)
     rows = q[indices].copy()
     if follow:

@@ -4,7 +4,7 @@ Usage: python docs/make/measure_first_compile.py [METHOD | marker ...]
 
 Each method solves one goal in a process with an empty cache, then in another process. ``marker``
 detects the markers of a photograph. The times are wall-clock and processor seconds. The first time
-includes all that the method needs, as on a new machine.
+includes everything that the method compiles on a new machine.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ print(time.perf_counter() - before[0], time.process_time() - before[1])
 
 
 def main() -> None:
-    """Prints the table."""
+    """Print the table."""
     print("| method | first use, s | processor, s | later processes, s |")
     print("| --- | ---: | ---: | ---: |")
     for name in sys.argv[1:] or [*CASES, "marker"]:

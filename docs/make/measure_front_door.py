@@ -29,7 +29,7 @@ FAR = (1.1, 2.0)
 
 
 def poses_of(robot: rik.Robot, count: int) -> tuple[list[rik.Pose], list[rik.Pose]]:
-    """Poses that the arm can take, and as many that it cannot."""
+    """Return ``count`` poses that the arm can reach, and ``count`` poses out of its reach."""
     rng = np.random.default_rng(0)
     near = [robot.forward(robot.sample(rng)) for _ in range(count)]
     ball = robot.reach()
@@ -40,7 +40,7 @@ def poses_of(robot: rik.Robot, count: int) -> tuple[list[rik.Pose], list[rik.Pos
 
 
 def cases(robot: rik.Robot, count: int) -> dict[str, Callable[[int], object]]:
-    """What is timed, by its name in the table; each takes the number of the pose."""
+    """Return the timed functions by their names in the table. Each takes the index of the pose."""
     near, far = poses_of(robot, count)
     matrices = [pose.matrix for pose in near]
     beyond = [pose.matrix for pose in far]
@@ -68,7 +68,7 @@ def cases(robot: rik.Robot, count: int) -> dict[str, Callable[[int], object]]:
 
 
 def measure(robot: rik.Robot, rounds: int, count: int) -> dict[str, tuple[float, float]]:
-    """Median and 99th percentile over the poses, µs, each pose's time the best of all rounds."""
+    """Return the median and 99th percentile over the poses, µs, of the best time of each pose."""
     timed = cases(robot, count)
     rik.warm_up(robot)
     best = {name: np.full(count, np.inf) for name in timed}

@@ -80,7 +80,7 @@ def measure_page(
     """Measure all rows, one after the other.
 
     Args:
-        seconds: For which processor time and bytes are counted.
+        seconds: Time in which processor time and bytes are counted, s.
         say: Called with the name of each step.
     """
     say("running four arms")
@@ -159,7 +159,7 @@ def _running(session: Session, seconds: float, say: Callable[[str], None]) -> It
 
 
 def _costs(watcher: Watcher, seconds: float) -> tuple[float, float]:
-    """Share of a core that this process takes, and bytes a second that the watcher gets."""
+    """Return the share of a core that this process uses, and the watcher's bytes per second."""
     watcher.received()
     clock = time.perf_counter()
     used = time.process_time()
@@ -170,7 +170,7 @@ def _costs(watcher: Watcher, seconds: float) -> tuple[float, float]:
 
 
 class Watcher:
-    """A process that takes everything a page sends."""
+    """A process that receives all messages of a page."""
 
     def __init__(self, url: str) -> None:
         context = multiprocessing.get_context("spawn")
@@ -200,7 +200,7 @@ class Watcher:
 
 
 def _watch(url: str, pipe: Connection) -> None:
-    """A watcher's process; ends with its pipe."""
+    """Run the process of a watcher, until its pipe closes."""
     received = 0
     with PageClient(url) as client:
         pipe.send("looking")
@@ -237,7 +237,7 @@ def _drag(client: PageClient) -> list[float]:
 
 
 class PageClient:
-    """The part of a browser that the server sees: it sends its camera and takes all messages."""
+    """A client that behaves like a browser: it sends its camera and receives all messages."""
 
     def __init__(self, url: str) -> None:
         where = urlsplit(url)
@@ -396,7 +396,7 @@ def find_chromium() -> str | None:
 
 
 def _started(browser: Any, environment: dict[str, str]) -> tuple[float, float, float]:
-    """Seconds to address, to the robot in the browser (NaN without one), to the first answer."""
+    """Return seconds to the address, to the robot in the browser (or NaN), to the first answer."""
     window = None if browser is None else browser.new_page(viewport={"width": 1440, "height": 900})
     arguments = [
         sys.executable,
@@ -438,7 +438,7 @@ def _started(browser: Any, environment: dict[str, str]) -> tuple[float, float, f
 
 
 def _first_reply(url: str) -> float:
-    """When a robot moves for the first time; infinite if it never does."""
+    """Return the time at which a robot first moves; infinite if none moves."""
     with PageClient(url) as client, contextlib.suppress(ConnectionClosed):
         end = time.perf_counter() + _PATIENCE
         while time.perf_counter() < end:
@@ -454,7 +454,7 @@ def main() -> int:
         "--seconds",
         type=float,
         default=10.0,
-        help="for which processor time and bytes are counted, three times",
+        help="time in which processor time and bytes are counted, s; three times",
     )
     asked = parser.parse_args()
     rows = list[Quantity]()

@@ -69,7 +69,7 @@ def main() -> int:
     )
     for name in ("environments", "results"):
         parser.add_argument(name, type=Path)
-    parser.add_argument("--rounds", type=int, default=3, help="of all libraries in turn")
+    parser.add_argument("--rounds", type=int, default=3, help="rounds of all libraries")
     parser.add_argument("--count", type=int, default=1000, help="problems of a kind")
     asked = parser.parse_args()
     return measure(asked.environments, asked.results, asked.rounds, asked.count)

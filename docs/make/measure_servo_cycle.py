@@ -48,12 +48,12 @@ CORES = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else
 
 
 def serve(replies: dict[bytes, bytes], back: Connection, baud: int) -> None:
-    """The other process: bytes that end in a known request are answered, when the wire would have.
+    """Answer bytes that end in a known request, after the time that the wire would take.
 
     Args:
         replies: Request -> reply.
-        back: Takes the name of the port.
-        baud: Bits/s of the wire; 0: at once.
+        back: Pipe to which the name of the port is sent.
+        baud: Bits/s of the wire; 0: without delay.
     """
     stay_on_core(1)
     master, slave = os.openpty()
@@ -84,7 +84,7 @@ def stay_on_core(number: int) -> None:
 
 
 def wait_until(moment: float) -> None:
-    """Sleeps, and watches the clock for the last 0.2 ms, which a sleep may miss."""
+    """Sleep, and poll the clock for the last 0.2 ms, because a sleep may end late."""
     time.sleep(max(0.0, moment - time.perf_counter() - 2e-4))
     while time.perf_counter() < moment:
         pass
@@ -92,7 +92,7 @@ def wait_until(moment: float) -> None:
 
 @contextmanager
 def port(baud: int = 0) -> Iterator[str]:
-    """The name of a port with servos behind it."""
+    """Yield the name of a port with servos behind it."""
     own_end, servo_end = multiprocessing.Pipe()
     arguments = (canned(), servo_end, baud)
     servos = multiprocessing.get_context("fork").Process(target=serve, args=arguments, daemon=True)
@@ -105,7 +105,7 @@ def port(baud: int = 0) -> Iterator[str]:
 
 
 def canned() -> dict[bytes, bytes]:
-    """Every request the contestants make -> the reply of six servos."""
+    """Return a dictionary: each request of the contestants -> the reply of six servos."""
     replies = {}
     value = (2048).to_bytes(4, "little")
     for register, known in ((PRESENT, value), (BLOCK, b"\x01\x00\x00" + value)):
@@ -123,7 +123,7 @@ def canned() -> dict[bytes, bytes]:
 
 
 def sdk_cycle(path: str, *, fast: bool) -> tuple[Callable[[int], None], Callable[[], None]]:
-    """GroupSyncWrite and GroupSyncRead as in the SDK's own examples."""
+    """Return a cycle by the group calls of the SDK, and the function that closes its port."""
     handler = PortHandler(path)
     handler.openPort()
     handler.setBaudRate(1_000_000)
@@ -149,7 +149,7 @@ def sdk_cycle(path: str, *, fast: bool) -> tuple[Callable[[int], None], Callable
 def our_cycle(
     path: str, register: Register, *, fast: bool, baud: int = 1_000_000
 ) -> tuple[Callable[[int], None], Callable[[], None]]:
-    """One exchange of our bus."""
+    """Return a cycle by one exchange of our bus, and the function that closes its port."""
     bus = DynamixelBus(path, baud)
     bus.open()
     bus.use_fast_reads(IDS if fast else ())
@@ -213,7 +213,7 @@ def measure_wire(baud: int, rounds: int) -> float:
 
 
 def wire_us(baud: int, register: Register, *, fast: bool) -> float:
-    """Time of a cycle's bytes on the wire, µs: nothing can be quicker."""
+    """Return the time of a cycle's bytes on the wire, µs. It is the lower bound of a cycle."""
     asked = dict.fromkeys(IDS, register)
     sent = len(write_request(GOAL, dict.fromkeys(IDS, 0))) + len(read_request(asked, fast=fast))
     back = 8 + 6 * (4 + register.size) if fast else 6 * (11 + register.size)
@@ -221,7 +221,7 @@ def wire_us(baud: int, register: Register, *, fast: bool) -> float:
 
 
 def lines(times: dict[str, tuple[float, float]], wires: dict[int, float]) -> list[str]:
-    """The section of the page."""
+    """Return the lines of the section of the page."""
     python = f"{platform.python_implementation()} {platform.python_version()}"
     text = [
         f"| a cycle of six servos, {python}, quietest round | p50 µs | CPU µs |",
@@ -242,7 +242,7 @@ def lines(times: dict[str, tuple[float, float]], wires: dict[int, float]) -> lis
 
 
 def main() -> None:
-    """Command line."""
+    """Measure, and print the table or write it into the page."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )

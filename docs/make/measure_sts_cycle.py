@@ -44,7 +44,7 @@ BLOCKS = {
     "position to status": STS3215.block("present_position", "hardware_error_status"),
     "torque to current (what `Arm` reads)": FAMILY.plain_block(STS3215).register,
 }
-"""What a cycle reads from every servo."""
+"""Row of the table -> block that a cycle reads from every servo."""
 
 
 def memory_of(register: Register) -> bytes:
@@ -68,10 +68,10 @@ def canned(register: Register) -> dict[bytes, bytes]:
 
 @contextmanager
 def port(register: Register, baud: int) -> Iterator[str]:
-    """Servos behind a pty; the name of the port.
+    """Start servos behind a pty, and yield the name of the port.
 
     Args:
-        register: What they are asked for.
+        register: Register or block that is read.
         baud: bit/s of the wire; 0: the bytes take no time.
     """
     own_end, servo_end = multiprocessing.Pipe()
@@ -133,7 +133,7 @@ def table(rounds: int, cycles: int) -> list[str]:
 
 
 def main() -> None:
-    """Command line."""
+    """Measure, and print the table or write it into the page."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )

@@ -77,7 +77,7 @@ WORD_LIMIT = 1000
 
 @dataclass(frozen=True)
 class Scenario:
-    """What goes wrong with the replies.
+    """The errors of the replies.
 
     Attributes:
         lateness_ms: Shortest and longest lateness.  The bus guards against replies that are up to
@@ -115,8 +115,8 @@ class WrongPort(InProcessPort):
     Args:
         bus: Driver.
         servos: Virtual bus.
-        scenario: How late, and how often.
-        rng: Decides which replies are late.
+        scenario: Lateness of the replies, and the share of late replies.
+        rng: Selects the late replies.
     """
 
     def __init__(
@@ -198,12 +198,12 @@ class WrongPort(InProcessPort):
 
 
 class WrongBus(SerialBus):
-    """The driver of real servos on virtual ones that answer wrongly.
+    """The driver of real servos, on virtual servos with wrong replies.
 
     Args:
         servos: Virtual bus.
-        scenario: What goes wrong.
-        rng: Decides which replies are late.
+        scenario: Errors of the replies.
+        rng: Selects the late replies.
     """
 
     def __init__(self, servos: VirtualBus, scenario: Scenario, rng: random.Random) -> None:
@@ -241,8 +241,8 @@ class WrongReplies:
 
         Args:
             what: Name of the call.
-            right: Servo id -> what its register held.
-            read: Servo id -> what was read.
+            right: Servo id -> true values of its register during the call.
+            read: Servo id -> value that was read.
         """
         for id, value in read.items():
             self.values += value is not None
@@ -258,8 +258,8 @@ def measure(family: str, values: int, scenario: Scenario, seed: int = 0) -> Wron
     Args:
         family: Servo family.
         values: Number of values.
-        scenario: What goes wrong.
-        seed: Seed of all chances.
+        scenario: Errors of the replies.
+        seed: Seed of all random choices.
     """
     rng = random.Random(seed)
     clock = VirtualClock()
@@ -284,7 +284,7 @@ def measure(family: str, values: int, scenario: Scenario, seed: int = 0) -> Wron
 def _call(
     bus: WrongBus, servos: VirtualBus, table: ControlTable, rng: random.Random
 ) -> tuple[str, dict[int, int], dict[int, int | None]]:
-    """Make one call: return what it was, what the registers held, and what was read (by id)."""
+    """Make one call. Return its name, the true values and the read values, by id."""
     names = NAMES[table.family]
     name = rng.choice(names)
     register = table[name]
@@ -315,12 +315,12 @@ def _call(
 
 
 def main() -> None:
-    """Command line."""
+    """Measure both protocols and print the counts."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("--values", type=int, default=100_000, help="values of each protocol")
-    parser.add_argument("--seed", type=int, default=0, help="seed of all chances")
+    parser.add_argument("--seed", type=int, default=0, help="seed of all random choices")
     options = parser.parse_args()
     table = Table("protocol", "replies", "values", "wrong values", "reads without a value")
     console = Console()

@@ -43,15 +43,15 @@ PATHS = {"exactly": 0.0, "0.2° off": np.radians(0.2)}
 
 
 def singular_cases(robot: rik.Robot, kind: str, count: int = TARGETS) -> list[tuple[Array, Array]]:
-    """Joint angles (6,) at which the PUMA is exactly singular, and starts beside them.
+    """Return joint angles (6,) at which the PUMA is exactly singular, and starts near them.
 
     The pose of a singular wrist has other branches, which are not singular. So the start is near
-    this one.
+    the singular branch.
 
     Args:
         robot: The PUMA.
         kind: ``wrist`` (axes 4 and 6 in line), ``elbow`` (arm stretched) or ``both``.
-        count: How many.
+        count: Number of cases.
     """
     rng = np.random.default_rng(11)
     straight = stretched(robot)
@@ -67,7 +67,7 @@ def singular_cases(robot: rik.Robot, kind: str, count: int = TARGETS) -> list[tu
 
 
 def stretched(robot: rik.Robot) -> float:
-    """The angle of the PUMA's elbow at which its wrist is farthest from the shoulder, rad."""
+    """Return the elbow angle of the PUMA at which its wrist is farthest from the shoulder, rad."""
 
     def far(angle: float) -> float:
         q = robot.home.copy()
@@ -82,7 +82,7 @@ def stretched(robot: rik.Robot) -> float:
 
 
 def methods() -> Iterator[str]:
-    """Names of the methods that serve poses of the PUMA, without ``combined``."""
+    """Return the names of the methods that support poses of the PUMA, without ``combined``."""
     robot = rik.load_robot("puma560")
     able = able_solvers(rik.Problem(robot, robot.forward(robot.home)))
     yield from (name for name in able if name != "combined")
@@ -132,7 +132,7 @@ def targets_table(tables: ModuleType) -> str:
 
 
 def path_table(tables: ModuleType) -> str:
-    """Largest joint change in one tick, and largest error, along a path past a singular wrist."""
+    """Return a table of the largest joint change and error on a path past a singular wrist."""
     robot = rik.load_robot("puma560")
     rows = []
     for name in methods():
@@ -148,7 +148,7 @@ def path_table(tables: ModuleType) -> str:
 
 
 def follow(robot: rik.Robot, name: str, off: float) -> tuple[float, float]:
-    """Follows the path tick by tick without restarts.
+    """Follow the path tick by tick without restarts.
 
     Returns:
         Largest joint change in a tick and largest error, rad.
@@ -170,7 +170,7 @@ def follow(robot: rik.Robot, name: str, off: float) -> tuple[float, float]:
 
 
 def path(robot: rik.Robot, off: float) -> list[rik.Pose]:
-    """Poses along which joint 5 swings through zero, ``off`` (rad) beside the singular one."""
+    """Return poses at which joint 5 moves through zero, ``off`` (rad) beside the singular pose."""
     q = robot.home.copy()
     q[_WRIST] = 0.0
     swing = robot.jacobian(q)[3:, _WRIST]

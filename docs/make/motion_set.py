@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 import robot_ik as rik
 from robot_ik.camera.drawing.faces import surface_points
+from robot_ik.camera.drawing.framing import fitted_camera, portrait_lens
 from robot_ik.camera.drawing.studio import SEAMLESS, Body, photograph
 from robot_ik.figure.actions import reach_ball
 from robot_ik.figure.figure import RATE as FIGURE_RATE
@@ -47,7 +48,6 @@ from robot_ik.motion import Keyframes, KeyPoses
 from robot_ik.motion.keyframes import free_base
 from robot_ik.pose_prior import PosePrior
 from robot_ik.problem import Problem
-from robot_ik.testbed.gallery import fitted_camera, lens
 
 Array = NDArray[np.float64]
 DOCS = Path(__file__).resolve().parents[1]
@@ -103,7 +103,7 @@ SHOWN = [(0.4, -0.15, 1.15), (0.3, 0.05, 1.5), (0.3, -0.3, 0.9)]
 
 
 def posed(robot: rik.Robot, degrees: Mapping[str, float]) -> Array:
-    """Home with some joints at other angles, the lowest foot on the floor."""
+    """Return home with some joints at other angles, and the lowest foot on the floor."""
     q = np.array(robot.home)
     for joint, angle in degrees.items():
         q[robot.tree.qadr[robot.joints.index(joint)]] = np.radians(angle)
@@ -111,7 +111,7 @@ def posed(robot: rik.Robot, degrees: Mapping[str, float]) -> Array:
 
 
 def on_floor(robot: rik.Robot, q: Array) -> Array:
-    """The same pose with the lowest of heels and toes at height 0."""
+    """Return the same pose with the lowest of heels and toes at height 0."""
     ends = [f"{side}_{end}" for side in SIDES for end in ("heel", "toe")]
     q = np.array(q)
     q[2] -= min(robot.forward(q, end).position[2] for end in ends)
@@ -139,7 +139,7 @@ def walk_by_norms(robot: rik.Robot, size: float) -> list[Array]:
 
 
 def key_poses(robot: rik.Robot) -> KeyPoses:
-    """What ships as models/humanoid/poses.toml."""
+    """Return the key poses and motions of models/humanoid/poses.toml."""
     book = KeyPoses(robot)
     book.record("stand", robot.home)
     for name, (size, seconds) in WALKS.items():
@@ -166,7 +166,7 @@ def key_poses(robot: rik.Robot) -> KeyPoses:
 
 
 def actions(figure: Figure) -> dict[str, Array]:
-    """Frames (m, nq), 60 a second, of the actions of the figure (``robot_ik/figure``)."""
+    """Return frames (m, nq), 60 a second, of the actions of the figure (``robot_ik/figure``)."""
     home = figure.home
     frames = {}
     for balls, kind in ((GRID, REACH), (BENDS, BEND)):
@@ -188,7 +188,7 @@ def actions(figure: Figure) -> dict[str, Array]:
 
 
 def motions(robot: rik.Robot, book: KeyPoses, files: Sequence[Path]) -> dict[str, Array]:
-    """Frames (m, nq) of every motion by name, ``RATE`` a second."""
+    """Return frames (m, nq) of every motion by name, ``RATE`` a second."""
     frames: dict[str, Array] = {}
     for name in book.motions:
         frames[name] = np.array(book.motion(name).sampled(RATE).q)
@@ -292,7 +292,7 @@ def led(robot: rik.Robot, position: Sequence[float], extra: Sequence[rik.Goal]) 
 
 
 def picture(robot: rik.Robot, prior: PosePrior, path: Path) -> None:
-    """The right hand led to three positions: with the goals alone, and with the prior."""
+    """Draw the right hand at three positions: with the goals alone, and with the prior."""
     size = (300, 420)
     rows = []
     for extra in ([], [PosePriorGoal(prior=prior)]):
@@ -302,7 +302,7 @@ def picture(robot: rik.Robot, prior: PosePrior, path: Path) -> None:
             points = np.concatenate(
                 [surface_points(robot.model, robot.qpos(pose)) for pose in (robot.home, q)]
             )
-            optics = lens(*size)
+            optics = portrait_lens(*size)
             camera = fitted_camera(points, (-50.0, 8.0), optics)
             body = Body(robot.model, robot.qpos(q))
             row.append(photograph([body], optics, camera, SEAMLESS).image)

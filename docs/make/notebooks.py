@@ -1,9 +1,9 @@
-"""Run the notebooks and store what their cells show.
+"""Run the notebooks and store the outputs of their cells.
 
     python docs/make/notebooks.py [FILE ...]
 
-By default it runs all files of docs/notebooks/. A cell with the tag `live` runs, but what it shows
-is not stored: the server behind it ends with this program. Needs the extras `web` and `plots`.
+By default it runs all files of docs/notebooks/. A cell with the tag `live` runs, but its output
+is not stored: its server ends with this program. Needs the extras `web` and `plots`.
 """
 
 from __future__ import annotations

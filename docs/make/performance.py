@@ -41,7 +41,7 @@ PICTURES = {
 
 
 def collect(results: Path) -> dict[str, Any]:
-    """What the page needs of a folder of results; also puts the pictures into docs/images."""
+    """Return the data of the page from a folder of results. Copy the pictures to docs/images."""
     from robot_ik.bench.methods.results import Cell, Results
 
     def summary(cell: Cell) -> dict[str, Any]:
@@ -111,7 +111,7 @@ Data = dict[str, Any]
 
 
 def table(head: Iterable[object], rows: Iterable[Iterable[object]]) -> str:
-    """A Markdown table; all columns but the first are numbers."""
+    """Return a Markdown table. All columns except the first have numbers."""
     first = [str(cell) for cell in head]
     lines = [
         first,
@@ -145,12 +145,12 @@ def machine(data: Data) -> str:
 
 
 def peers_cold(data: Data) -> str:
-    """Cold poses, all contestants."""
+    """Return the table of cold poses for all contestants."""
     return peers_table(data, "cold", ("median_us", "mean_us", "p99_us"))
 
 
 def peers_warm(data: Data) -> str:
-    """Tracking, all contestants."""
+    """Return the table of warm poses for all contestants."""
     return peers_table(data, "warm", ("median_us", "mean_us", "p99_us"))
 
 
@@ -172,7 +172,7 @@ def peers_table(data: Data, mode: str, keys: tuple[str, ...]) -> str:
 
 
 def peers_edge(data: Data) -> str:
-    """Exactly singular targets, and targets out of reach, on the PUMA."""
+    """Return the table of exactly singular targets and targets out of reach, for the PUMA."""
 
     def row(name: str, library: Data) -> tuple[str, ...]:
         singular = library["puma560"]["singular"]
@@ -191,7 +191,7 @@ def peers_edge(data: Data) -> str:
 
 
 def ratios(data: Data) -> str:
-    """Ours against the best of the others in the same run."""
+    """Return the table of our times and those of the best other library, in the same run."""
     peers = data["peers"]
     four = data["four_goals"]
 
@@ -246,7 +246,7 @@ def ratios(data: Data) -> str:
 
 
 def goals4(data: Data) -> str:
-    """Four position goals on the humanoid."""
+    """Return the table of four position goals on the humanoid."""
     rows = []
     for name, modes in data["four_goals"].items():
         cells = []
@@ -277,7 +277,7 @@ def comparison(data: Data) -> str:
 
 
 def batch(data: Data) -> str:
-    """Solves per second."""
+    """Return the table of solves per second."""
     rows = [
         (
             f"`{b['solver']}`",
@@ -292,7 +292,7 @@ def batch(data: Data) -> str:
 
 
 def floors(data: Data) -> str:
-    """Kinematics alone."""
+    """Return the table of the times of the kinematics alone."""
     rows = [
         (ROBOTS[f["robot"]], f["joints"], us(f["forward_us"]), us(f["jacobian_us"]))
         for f in data["floors"]
@@ -307,7 +307,7 @@ def kernels(data: Data) -> str:
 
 
 def growth(data: Data, across: str) -> str:
-    """Methods × sizes."""
+    """Return a table of times: methods by sizes."""
     points = [point for point in data["growth"] if point["across"] == across]
     sizes = sorted({point["size"] for point in points})
     rows = []
@@ -318,7 +318,7 @@ def growth(data: Data, across: str) -> str:
 
 
 def methods(data: Data) -> str:
-    """Every method on the PUMA."""
+    """Return the table of all methods on the PUMA."""
     sets = ("cold", "warm", "singular", "limits")
     cells = {(c["solver"], c["set"]): c for c in data["methods"] if c["robot"] == "puma560"}
     rows = []
@@ -355,12 +355,12 @@ TABLES["growth_goals"] = lambda data: growth(data, "goals")
 
 
 def filled(text: str, data: Data) -> str:
-    """The page with every table as the data have it."""
+    """Return the page with all tables filled from the data."""
     return PLACE.sub(lambda m: m[1] + TABLES[m[2]](data) + m[4], text)
 
 
 def write_pages() -> None:
-    """docs/performance.json -> the pages."""
+    """Write the tables of docs/performance.json into the pages."""
     data = json.loads(DATA.read_text(encoding="utf-8"))
     for page in PAGES:
         page.write_text(filled(page.read_text(encoding="utf-8"), data), encoding="utf-8")

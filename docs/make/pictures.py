@@ -24,6 +24,7 @@ import robot_ik as rik
 from benchmarks.camera.pictures import pattern_set
 from robot_ik.camera.drawing.drawn_robot import DrawnRobot
 from robot_ik.camera.drawing.faces import surface_points
+from robot_ik.camera.drawing.framing import fitted_camera, portrait_lens
 from robot_ik.camera.drawing.prints import Print
 from robot_ik.camera.drawing.studio import SEAMLESS, Body, photograph
 from robot_ik.camera.patterns import CharucoPattern
@@ -35,7 +36,6 @@ from robot_ik.camera.synthetic.sensor import SensorModel
 from robot_ik.camera.target_files import parse_target
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.testbed.ar.overlay import heights
-from robot_ik.testbed.gallery import fitted_camera, lens
 from robot_ik.workcell.arm_camera.error_map import error_picture
 from robot_ik.workcell.arm_camera.verify import VerifyRequest, run_verify
 from robot_ik.workcell.robot_setup import Rehearsal
@@ -58,7 +58,7 @@ class Scene:
 
     Attributes:
         example: File in examples/ with the robot, its goals and the position of the ball.
-        robot: Who.
+        robot: Name of the robot.
         view_deg: Azimuth and elevation of the view.
     """
 
@@ -74,7 +74,7 @@ SCENES = {
 
 
 def example(name: str) -> ModuleType:
-    """A program of examples/."""
+    """Return a program of examples/ as a module."""
     spec = importlib.util.spec_from_file_location(Path(name).stem, DOCS.parent / "examples" / name)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -83,14 +83,14 @@ def example(name: str) -> ModuleType:
 
 
 def solved(scene: Scene) -> tuple[rik.Solution, tuple[float, ...]]:
-    """What the example solves, and its ball."""
+    """Return the solution of the example, and the position of its ball, m."""
     program = example(scene.example)
     robot = rik.load_robot(scene.robot)
     return rik.solve(robot, list(program.goals(robot).values())), program.BALL
 
 
 def with_ball(path: Path, position: tuple[float, ...]) -> mujoco.MjModel:
-    """The model with a ball that touches nothing."""
+    """Return the model with a ball that has no contacts."""
     spec = mujoco.MjSpec.from_file(str(path))
     spec.worldbody.add_geom(
         name="ball",
@@ -105,11 +105,11 @@ def with_ball(path: Path, position: tuple[float, ...]) -> mujoco.MjModel:
 
 
 def draw(scene: Scene) -> Image:
-    """Home and solution beside each other, BGR."""
+    """Return a picture of home and solution beside each other, BGR."""
     solution, ball = solved(scene)
     robot = solution.robot
     model = with_ball(robot.path, ball)
-    optics = lens(*SIZE)
+    optics = portrait_lens(*SIZE)
     poses = [robot.qpos(robot.home), robot.qpos(solution.q)]
     shapes = [surface_points(model, qpos) for qpos in poses]
     floor = float(surface_points(robot.model, poses[0])[:, 2].min())
@@ -144,7 +144,7 @@ def calibration() -> Image:
 
 
 def _tile(image: Image, width: int, height: int) -> Image:
-    """The picture in the middle of white, as large as it goes."""
+    """Return the picture in the middle of a white area, as large as possible."""
     bgr = image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
     scale = min((width - 16) / bgr.shape[1], (height - 16) / bgr.shape[0])
     small = cv2.resize(bgr, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
@@ -185,7 +185,7 @@ def robot_in_the_picture() -> Image:
 
 
 def _table_with(name: str, objects: mujoco.MjModel | None, height: float, yaw: float) -> Image:
-    """A photograph of the table with a drawn robot of this height in metres, turned by degrees."""
+    """Return a picture of the table with a drawn robot of this height, m, turned by degrees."""
     still = BoardMotion((0.0, 0.0), np.radians(20.0) if objects is None else 0.0, middle=(0.0, 0.0))
     source, clock = synthetic_scene(640, 420, motion=still, occluders=objects)
     near = Pose.look_at((0.12, -0.66, 0.46), (0.0, 0.05, 0.13))
@@ -223,7 +223,7 @@ PICTURES: dict[str, Callable[[], Image]] = {
 
 
 def main(names: list[str]) -> None:
-    """Draws the pictures of those names, by default all."""
+    """Draw the pictures of those names, by default all."""
     for name in names or list(PICTURES):
         path = DOCS / "images" / f"{name}.png"
         cv2.imwrite(str(path), PICTURES[name](), [cv2.IMWRITE_PNG_COMPRESSION, 9])

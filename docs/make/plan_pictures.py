@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 import robot_ik as rik
 from benchmarks.collision.scenes import shelf
 from robot_ik.camera.drawing.faces import surface_points
+from robot_ik.camera.drawing.framing import fitted_camera, portrait_lens
 from robot_ik.camera.drawing.studio import SEAMLESS, Body, photograph
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.testbed.gallery import fitted_camera, lens
 from robot_ik.workcell.films import open_sink
 
 IMAGES = Path(__file__).resolve().parents[1] / "images"
@@ -109,7 +109,7 @@ def coloured(scene: rik.Scene) -> mujoco.MjModel:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A camera, and what it shows.
+    """A camera, the robot and the shelf.
 
     Attributes:
         scene: The robot and the shelf.
@@ -132,13 +132,13 @@ class View:
         model = coloured(scene)
         rows = trajectory.q[:: max(1, len(trajectory) // VIEW_POSTURES)]
         points = [surface_points(model, robot.qpos(q)) for q in rows]
-        optics = lens(*size)
+        optics = portrait_lens(*size)
         camera = fitted_camera(np.concatenate(points), VIEW_DEG, optics)
         tools = rik.forward_batch(robot, trajectory.q).positions
         return cls(scene, model, optics, camera, tools)
 
     def picture(self, q: NDArray[np.float64]) -> Image:
-        """Return the robot at ``q`` (nq,) with the way of the tool, BGR."""
+        """Return the robot at ``q`` (nq,) with the path of the tool, BGR."""
         body = Body(self.model, self.scene.robot.qpos(q))
         photo = photograph([body], self.optics, self.camera, SEAMLESS, floor=0.0, subject=SHELF[:2])
         image = photo.image.copy()
@@ -149,7 +149,7 @@ class View:
 
 
 def still(scene: rik.Scene, trajectory: rik.Trajectory) -> Image:
-    """Return the arm at the start, on the way and at the goal, side by side."""
+    """Return pictures of the arm at the start, half-way and at the goal, side by side."""
     view = View.of(scene, trajectory, PICTURE_SIZE)
     times = trajectory.duration * np.array(SHOWN)
     return np.concatenate([view.picture(trajectory.at(t)) for t in times], axis=1)

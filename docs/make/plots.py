@@ -38,13 +38,13 @@ _COLOURS = 64
 
 @dataclass(frozen=True)
 class Task:
-    """What is asked of a method: a kind of goal on a robot.
+    """A task for a method: a kind of goal on a robot.
 
     Attributes:
-        label: In the legend.
-        colour: Of its curve, the same in all pictures.
-        robot: Makes the robot.
-        pose: Whether the orientation counts, too.
+        label: Text of the legend.
+        colour: Colour of the curve, the same in all pictures.
+        robot: Function that makes the robot.
+        pose: Whether the goal has an orientation.
     """
 
     label: str
@@ -69,7 +69,7 @@ class Curves:
     """Result of a method on one task.
 
     Attributes:
-        task: Which.
+        task: The task.
         residuals: Smallest residual so far, rad, (steps + 1,) for each target, beginning at the
             start.
         steps: (COUNT,) steps to each target; inf if it was not reached.
@@ -81,7 +81,7 @@ class Curves:
 
 
 def curves(name: str, task: Task, count: int = COUNT) -> Curves | None:
-    """Runs a method from home to ``count`` seeded targets; None where it cannot do the task."""
+    """Run a method from home to ``count`` seeded targets. None if it does not support the task."""
     robot = task.robot()
     rng = np.random.default_rng(7)
     pose = robot.forward(robot.home)
@@ -111,9 +111,9 @@ def draw(name: str, path: Path, count: int = COUNT) -> None:
     """Draw the picture of a method.
 
     Args:
-        name: In ``SOLVERS``.
-        path: The PNG to write.
-        count: Targets of each task.
+        name: Name of the method in ``SOLVERS``.
+        path: PNG file to write.
+        count: Number of targets of each task.
     """
     import matplotlib
 
@@ -143,7 +143,7 @@ def draw(name: str, path: Path, count: int = COUNT) -> None:
 
 
 def _save(pixels: NDArray[np.uint8], path: Path) -> None:
-    """A PNG of few colours: a third of the size."""
+    """Write a PNG of few colours, which has a third of the size."""
     from PIL import Image
 
     Image.fromarray(pixels).quantize(_COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)

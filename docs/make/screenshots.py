@@ -73,13 +73,13 @@ class Shot:
     """One picture.
 
     Attributes:
-        name: Of the file.
-        start: What the session begins with.
+        name: Name of the file.
+        start: Start of the session.
         size: Width and height of the window, pixels.
         dark: Whether colours are dark.
         tab: The tab that is open. Empty: the first.
         press: Names of buttons that are pressed, in order.
-        switches: Names of switches that are switched.
+        switches: Names of switches that are pressed.
         scroll: Text that the side panel is scrolled to.
         commands: What the session gets.
         until: Whether the view is as wanted.
@@ -271,7 +271,7 @@ def served(shot: Shot) -> Iterator[tuple[Session, Page, threading.Event]]:
 
 
 def wait(holds: Callable[[], Any]) -> None:
-    """Return when it holds."""
+    """Wait until a condition is true."""
     while not holds():
         time.sleep(0.05)
 

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 import robot_ik as rik
 from robot_ik.camera.drawing.faces import surface_points
+from robot_ik.camera.drawing.framing import fitted_camera, portrait_lens
 from robot_ik.camera.drawing.studio import SEAMLESS, Body, photograph
-from robot_ik.testbed.gallery import fitted_camera, lens
 
 IMAGES = Path(__file__).resolve().parents[1] / "images"
 
@@ -40,7 +40,7 @@ Image = NDArray[np.uint8]
 
 def draw(robot: rik.Robot, qpos: NDArray[np.float64]) -> Image:
     """Return a picture of the robot, BGR."""
-    optics = lens(*SIZE)
+    optics = portrait_lens(*SIZE)
     points = surface_points(robot.model, qpos)
     camera = fitted_camera(points, VIEW_DEG, optics)
     floor = float(points[:, 2].min())

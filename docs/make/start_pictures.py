@@ -28,12 +28,12 @@ from terminal import terminal_svg
 
 import robot_ik as rik
 from robot_ik.camera.drawing.faces import surface_points
+from robot_ik.camera.drawing.framing import fitted_camera, portrait_lens
 from robot_ik.camera.drawing.overlay import ORANGE, draw_axes, put_label
 from robot_ik.camera.drawing.prints import Print
 from robot_ik.camera.drawing.studio import SEAMLESS, Body, photograph
 from robot_ik.camera.sheets.sheets import SheetRequest, make_sheet_page
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.testbed.gallery import fitted_camera, lens
 
 DOCS = Path(__file__).resolve().parents[1]
 IMAGES = DOCS / "images" / "start"
@@ -88,7 +88,7 @@ def run(command: str, *, code: int = 0) -> str:
     """Run a command of the pages and return what it printed.
 
     Raises:
-        SystemExit: It ended with another exit code.
+        SystemExit: The exit code is not the expected one.
     """
     words = shlex.split(command)
     program = {"robot-ik": ["-m", "robot_ik"], "python": []}[words[0]]
@@ -126,7 +126,7 @@ def served(command: str) -> Iterator[None]:
 
 
 def with_ball(robot: rik.Robot, position: tuple[float, ...], radius: float) -> mujoco.MjModel:
-    """Return the model with a ball that touches nothing."""
+    """Return the model with a ball that has no contacts."""
     spec = mujoco.MjSpec.from_file(str(robot.path))
     spec.worldbody.add_geom(
         type=mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -153,7 +153,7 @@ def draw(
     """
     points = [surface_points(model, qpos) for qpos in poses]
     floor = float(points[0][:, 2].min())
-    optics = lens(*SIZE)
+    optics = portrait_lens(*SIZE)
     camera = fitted_camera(np.concatenate(points), view_deg, optics)
     views = [
         photograph([Body(model, qpos)], optics, camera, SEAMLESS, floor=floor).image
@@ -276,7 +276,7 @@ def so101_ids() -> Image:
     arm = ArmConfig.load("so101")
     qpos = robot.qpos(robot.home)
     points = surface_points(robot.model, qpos)
-    optics = lens(760, 560)
+    optics = portrait_lens(760, 560)
     eye = fitted_camera(points, (-60.0, 16.0), optics)
     floor = float(points[:, 2].min())
     image = photograph([Body(robot.model, qpos)], optics, eye, SEAMLESS, floor=floor).image
@@ -373,7 +373,7 @@ def frames() -> Image:
     model = spec.compile()
     qpos = robot.qpos(robot.home)
     points = surface_points(model, qpos)
-    optics = lens(800, 520)
+    optics = portrait_lens(800, 520)
     eye = fitted_camera(points, (-25.0, 24.0), optics)
     floor = float(surface_points(robot.model, qpos)[:, 2].min())
     image = photograph([Body(model, qpos)], optics, eye, SEAMLESS, floor=floor).image

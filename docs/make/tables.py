@@ -18,7 +18,7 @@ PLACE = re.compile(r"(<!-- table: (\w+)(?: (\w+))? -->\n)(.*?)(<!-- end -->)", r
 
 
 def markdown(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
-    """A Markdown table."""
+    """Return a Markdown table."""
     lines = [list(head), *([str(cell) for cell in row] for row in rows)]
     lines.insert(1, ["---"] * len(lines[0]))
     return "".join(
@@ -27,7 +27,7 @@ def markdown(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
 
 
 def solvers() -> str:
-    """One row for each method."""
+    """Return a table with one row for each method."""
     from robot_ik.commands.solvers import goals_text, solver_facts
     from robot_ik.solvers import SOLVERS
 
@@ -47,7 +47,7 @@ def solvers() -> str:
 
 
 def method(name: str) -> str:
-    """What one method is: title, goals, source."""
+    """Return a table with title, goals and source of one method."""
     from robot_ik.commands.solvers import goals_text, solver_facts
     from robot_ik.solvers import SOLVERS
 
@@ -57,7 +57,7 @@ def method(name: str) -> str:
 
 
 def options(name: str) -> str:
-    """All options of one method."""
+    """Return a table of all options of one method."""
     from robot_ik.commands.solvers import solver_facts
     from robot_ik.solvers import SOLVERS
 
@@ -80,7 +80,7 @@ def options(name: str) -> str:
 
 
 def floors(name: str) -> str:
-    """The solve rates below which the tests fail, of one method."""
+    """Return a table of the solve rates of one method below which the tests fail."""
     with (ROOT / "tests" / "solvers" / "floors.toml").open("rb") as stream:
         table: dict[str, Any] = tomllib.load(stream).get(name, {})
     kinds = [
@@ -96,7 +96,7 @@ def floors(name: str) -> str:
 
 
 def buses() -> str:
-    """One row for each way to reach servos."""
+    """Return a table with one row for each bus."""
     from robot_ik.hardware import BUSES
 
     kinds = {True: "simulated", False: "real"}
@@ -107,7 +107,7 @@ def buses() -> str:
 
 
 def servos() -> str:
-    """One row for each servo model."""
+    """Return a table with one row for each servo model."""
     from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
 
     return markdown(
@@ -120,7 +120,7 @@ def servos() -> str:
 
 
 def faults() -> str:
-    """One row for each kind of fault."""
+    """Return a table with one row for each kind of fault."""
     from robot_ik.hardware.virtual.faults import FAULTS
 
     return markdown(
@@ -133,7 +133,7 @@ def faults() -> str:
 
 
 def commands() -> str:
-    """One row for each command of `robot-ik`."""
+    """Return a table with one row for each command of `robot-ik`."""
     from robot_ik.commands.main import GROUPS
 
     rows = [row for rows in GROUPS.values() for row in rows]
@@ -160,7 +160,7 @@ def flag_rows() -> list[tuple[str, str, list[str]]]:
 
 
 def flags() -> str:
-    """One row for each option of `robot-ik`."""
+    """Return a table with one row for each option of `robot-ik`."""
     count = sum(len(names) for _, _, names in flag_rows())
     rows = [
         (f"`{flag}`", meaning.replace("|", "\\|"), ", ".join(f"`{name}`" for name in names))
@@ -172,7 +172,7 @@ def flags() -> str:
 
 
 def keys() -> str:
-    """One row for each key of the testbed."""
+    """Return a table with one row for each key of the testbed."""
     from robot_ik.testbed.keys import KEYMAP
 
     rows = (
@@ -188,7 +188,7 @@ TABLES: dict[str, Callable[..., str]] = {
 
 
 def filled(text: str) -> str:
-    """``text`` with every table as the program has it now."""
+    """Return ``text`` with all tables filled from the program."""
     return PLACE.sub(lambda m: m[1] + TABLES[m[2]](*filter(None, [m[3]])) + m[5], text)
 
 

@@ -1,4 +1,4 @@
-"""Makes the pictures of the page's gallery: `python docs/make/thumbnails.py [NAME …]`.
+"""Make the pictures of the page's gallery: `python docs/make/thumbnails.py [NAME …]`.
 
 Each is a robot in the pose of its gallery scene, cut out of its background, for light and dark.
 """
@@ -10,12 +10,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from gallery import pose_at_work
 from PIL import Image
 
 from robot_ik import catalogue, load_robot
 from robot_ik.camera.drawing.faces import surface_points
+from robot_ik.camera.drawing.framing import fitted_camera, portrait_lens
 from robot_ik.camera.drawing.studio import SEAMLESS, Body, photograph
-from robot_ik.testbed.gallery import fitted_camera, lens, pose_at_work
 from robot_ik.testbed.gallery_scene import gallery_scene
 
 FOLDER = Path(__file__).resolve().parents[2] / "robot_ik/testbed/frontends/web/thumbnails"
@@ -35,7 +36,7 @@ def thumbnail(name: str) -> Image.Image:
     scene = gallery_scene(robot)
     floor = float(surface_points(robot.model, robot.qpos(robot.home))[:, 2].min())
     q = pose_at_work(robot, scene, floor, seed=0).q
-    optics = lens(OVERSAMPLING * SIZE[0], OVERSAMPLING * SIZE[1])
+    optics = portrait_lens(OVERSAMPLING * SIZE[0], OVERSAMPLING * SIZE[1])
     points = surface_points(robot.model, robot.qpos(q))
     camera = fitted_camera(points, scene.view_deg, optics)
     photo = photograph([Body(robot.model, robot.qpos(q))], optics, camera, SEAMLESS, floor=floor)

@@ -46,8 +46,8 @@ class Loads:
     """Torques at the joints of the arm, N m, absolute.
 
     Attributes:
-        still: (poses, n) that hold it.
-        moving: (poses, n) at full speed and acceleration.
+        still: (poses, n) torques that hold the arm at rest.
+        moving: (poses, n) torques at full speed and acceleration.
     """
 
     still: Array
@@ -73,7 +73,7 @@ def loaded_model(robot: rik.Robot, payload: float = PAYLOAD) -> mujoco.MjModel:
 
 
 def loads(robot: rik.Robot, model: mujoco.MjModel, poses: int = POSES, seed: int = SEED) -> Loads:
-    """Loads at random poses inside the joint limits."""
+    """Return the loads at random poses inside the joint limits."""
     rng = np.random.default_rng(seed)
     data = mujoco.MjData(model)
     dofs = [int(model.joint(name).dofadr[0]) for name in robot.joints]
@@ -92,11 +92,12 @@ def loads(robot: rik.Robot, model: mujoco.MjModel, poses: int = POSES, seed: int
 
 @dataclass(frozen=True)
 class Strength:
-    """What the servos give at the joints, (n,) N m, belts without losses.
+    """Torques of the servos at the joints, (n,) N m, with belts without losses.
 
     Attributes:
-        stall: At rest, for a moment; ``continuous``: without a time limit.
-        at_speed: At the speeds of [motion]: the stall torque less its share of the no-load speed.
+        stall: Largest torque at rest, for a short time.
+        continuous: Torque at rest without a time limit.
+        at_speed: Torque at the speeds of [motion]. It decreases linearly from stall to no-load.
     """
 
     stall: Array
@@ -110,7 +111,7 @@ def _joints(arm: ArmConfig) -> list[Joint]:
 
 
 def strength(robot: rik.Robot, arm: ArmConfig) -> Strength:
-    """By the manual's figures at its recommended voltages."""
+    """Return the torques by the figures of the manual, at its recommended voltages."""
     joints = _joints(arm)
     stall = np.array([joint.servo.table.motor.stall_torque * joint.gear.ratio for joint in joints])
     free = np.array([joint.servo.table.motor.no_load_speed / joint.gear.ratio for joint in joints])
@@ -122,7 +123,7 @@ def _times(number: float) -> str:
 
 
 def table(poses: int = POSES, seed: int = SEED) -> str:
-    """The table as Markdown."""
+    """Return the table as Markdown."""
     robot = rik.load_robot(ROBOT)
     assert robot.arm_file is not None
     arm = ArmConfig.load(robot.arm_file)
@@ -169,7 +170,7 @@ def table(poses: int = POSES, seed: int = SEED) -> str:
 
 
 def filled(text: str) -> str:
-    """``text`` of the README with the table as it is now."""
+    """Return ``text`` of the README with the newest table."""
     return _PLACE.sub(lambda match: match[1] + table() + match[3], text)
 
 

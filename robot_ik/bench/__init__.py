@@ -1,1 +1,1 @@
-"""Benchmarks: seeded problem sets, a timer that times nothing else, and MuJoCo as the judge."""
+"""Benchmarks: seeded problem sets, times of single calls, and success measured by MuJoCo."""

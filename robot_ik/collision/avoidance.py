@@ -29,8 +29,8 @@ class CollisionAvoidance:
     Attributes:
         scene: The scene.
         margin: Smallest allowed distance, m.
-        pairs: The names that were chosen, None for all.
-        ignore: The names that are left out.
+        pairs: The chosen pairs of names, None for all pairs.
+        ignore: The pairs of names that are left out.
     """
 
     def __init__(
@@ -134,5 +134,5 @@ def require_same_robot(robot: Robot, collisions: CollisionAvoidance) -> None:
         raise OptionError(
             "collisions",
             f"its scene is of robot {other!r}, not of {robot!r}",
-            hint="make the scene with the same robot: Scene(robot, …)",
+            hint="create the scene with the same robot: Scene(robot, …)",
         )

@@ -19,7 +19,7 @@ from robot_ik.kernels.tree import Tree
 Ints = NDArray[np.int64]
 
 MAX_NEAR_PAIRS = 64
-"""Pairs that a check lists with their gradients. Beyond, the nearest are kept."""
+"""Largest number of pairs that a check lists with their gradients. The nearest are kept."""
 
 _RIM_POINTS = 24
 """Corners of the polygon around the rim of a cylinder."""
@@ -34,7 +34,7 @@ _CONTAINER_STEPS = 8
 class ShapeTables:
     """The geoms of a model, sorted by link, as compiled code reads them.
 
-    A link is a set of geoms that move together, or of one body that stands still.
+    A link is a set of geoms that move together, or the geoms of one fixed body.
 
     Attributes:
         block: Block of ``shapes.SHAPES``.
@@ -52,8 +52,8 @@ class ShapeTables:
         """
         body_of = model.geom_bodyid[geoms]
         node_of = np.array([bodies[body][0] for body in body_of], dtype=np.int64)
-        # Moving links first; then what stands still: geoms of one body together, but those of the
-        # world and planes one by one.
+        # Moving links come first, then fixed links: one link for the geoms of one body, but one
+        # link for each plane and each geom of the world.
         alone = (body_of == 0) | (model.geom_type[geoms] == shapes.PLANE)
         still = np.where(alone, model.nbody + geoms, body_of)
         group = np.where(node_of < 0, len(bodies) + model.ngeom + still, node_of)
@@ -102,7 +102,7 @@ class ShapeTables:
         return bodies[model.geom_bodyid[geom]][1].compose(local)
 
     def move(self, model: mujoco.MjModel, bodies: list[tuple[int, Pose]], body: int) -> None:
-        """Move the geoms of a body that stands still to the pose that ``bodies`` has now."""
+        """Move the geoms of a fixed body to its current pose in ``bodies``."""
         for geom in np.flatnonzero(model.geom_bodyid == body):
             row = self.row.get(int(geom))
             if row is not None:
@@ -129,7 +129,7 @@ class ShapeTables:
 def capsule_around(points: Array, radii: Array) -> Array:
     """Return ends and radius (7,) of a capsule that contains balls (n, 3), (n,).
 
-    Its axis is a principal axis of the points. Its length is the one with the smallest volume of a
+    Its axis is a principal axis of the points. Its length gives the smallest volume of a
     few that are tried.
     """
     center = points.mean(axis=0)
@@ -272,8 +272,8 @@ class PairTables:
         kind = tables.block.arrays["kind"]
         rows = np.array([[tables.row[int(a)], tables.row[int(b)]] for a, b in pairs])
         rows = rows.reshape(-1, 2).astype(np.int64)
-        # Links that stand still have the highest numbers, so sorted pairs have them second; planes
-        # and boxes second too, because their filter is the better one.
+        # Fixed links have the highest numbers, so they are second in sorted pairs. Planes and boxes
+        # are second too, because their filter removes more pairs.
         links = link[rows]
         rows = np.where((links[:, 0] > links[:, 1])[:, None], rows[:, ::-1], rows)
         simple = np.isin(kind[rows], (shapes.BOX,))

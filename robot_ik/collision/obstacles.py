@@ -158,7 +158,7 @@ class Plane(Obstacle):
         """Do nothing: a plane has no size."""
 
     def shape(self) -> tuple[mujoco.mjtGeom, list[float]]:
-        # The size is that of its picture.
+        # This is the size of the drawn part.
         return mujoco.mjtGeom.mjGEOM_PLANE, [1.0, 1.0, 0.01]
 
 

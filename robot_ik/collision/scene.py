@@ -4,8 +4,8 @@
     scene.clearance(q).distance     # m, by MuJoCo; negative: the depth of a contact
     scene.free(Q, margin=0.005)     # (n,) compiled, all cores
 
-MuJoCo judges every distance that is reported. The compiled check decides only that a posture is
-free, and only by a lower bound of the distance. If the bound cannot decide, MuJoCo does.
+MuJoCo measures every reported distance. The compiled check decides only that a posture is free, by
+a lower bound of the distance. If the bound does not decide it, MuJoCo does.
 """
 
 from __future__ import annotations
@@ -57,9 +57,9 @@ class Clearance:
     """The nearest pair of parts at a posture, by MuJoCo.
 
     Attributes:
-        distance: m; negative: the depth of the deepest contact. inf if nothing can touch.
-        pair: Names of the bodies, the one that is farther along the robot first; of a geom that is
-            fixed to the world, its own name. None if nothing can touch.
+        distance: m; negative: the depth of the deepest contact. inf if no parts can touch.
+        pair: Names of the bodies, the body farther along the robot first. A geom that is fixed to
+            the world has its own name. None if no parts can touch.
         points: (2, 3) nearest points on the two parts, world, m.
         normal: (3,) unit vector from the second part to the first.
     """
@@ -164,7 +164,7 @@ class Scene:
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:
-        """The obstacles, at their present poses."""
+        """The obstacles, at their current poses."""
         return tuple(self._obstacles.values())
 
     @property
@@ -381,8 +381,9 @@ class Scene:
     def distances(self, q: ArrayLike, reach: float = 0.1) -> Array:
         """Return the distance (n,) of the nearest pair of each posture (n, nq), up to ``reach``.
 
-        It is compiled and a lower bound, exact to a nanometre except within 0.1 mm of contact. Of
-        postures that touch it is 0 or less, but not the depth: ``clearance`` has that.
+        The compiled distance is a lower bound, exact to a nanometre except within 0.1 mm of
+        contact. For postures that touch it is 0 or less, but not the depth. ``clearance`` measures
+        the depth.
         """
         rows = posture_rows(self.robot, q)
         announce()
@@ -425,7 +426,7 @@ def always_near(scene: Scene, pairs: Ints, margin: float) -> tuple[Touching, ...
                 deepest[names[i]] = max(deepest.get(names[i], -margin), -distance)
                 bodies[names[i]] = model.geom_bodyid[[a, b]].tolist()
         depths = {pair: min(d, depths.get(pair, d)) for pair, d in deepest.items()}
-        # Other geoms of the same two parts may touch in the next posture.
+        # In the next posture other geoms of the same two parts may touch.
         candidates = [i for i in candidates if names[i] in depths]
     contacts = [
         Touching((pair[0], pair[1]), depth, _exclude_line(model, bodies[pair]))
@@ -486,7 +487,7 @@ def load_scene(
     active: they stay at home.
 
     Args:
-        path: An MJCF file, or what else ``load_robot`` takes.
+        path: An MJCF file, or another source that ``load_robot`` takes.
         joints: Names of the joints that may move, as for ``load_robot``.
         tool: Name of the default frame.
     """

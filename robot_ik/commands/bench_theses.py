@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from robot_ik.workcell.progress import Progress
 
 NOTHING = "-"
-"""Cell of a table for a method that does not serve the goal, or a case that is not run."""
+"""Cell of a table for a method that does not support the goal, or a case that is not run."""
 
 
 @dataclass(eq=False)
@@ -105,7 +105,7 @@ class AhoReport(ThesisReport):
         columns = ("test", "joints", "goal", "the goal moves", "frames", "A00's result")
         yield table(*columns, rows=rows)
         yield self._methods_table()
-        yield f"{NOTHING}: the method does not serve this goal. Below a share: first lost frame."
+        yield f"{NOTHING}: the method does not support this goal. Below a share: first lost frame."
         yield verdict(report.complete, report.passed, self._reason())
 
     def _reason(self) -> str:

@@ -1,7 +1,8 @@
-"""What this machine can do: each check returns rows, opens nothing that moves, and cannot hang.
+"""Checks of this machine for ``robot-ik doctor``. No check moves an arm or hangs.
 
-A row is OK, a NOTE (works, or is not needed, but worth knowing) or a PROBLEM (something robot_ik needs
-is broken).
+The status of a row is OK, NOTE (it works or is not needed, but the user should read it) or PROBLEM
+(a part that robot_ik needs does not work). No serial port is opened, because that can reset the
+board behind it. Cameras are opened for one picture, in a child process with a time limit.
 """
 
 from __future__ import annotations
@@ -12,198 +13,41 @@ import re
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from importlib import metadata
 from pathlib import Path
 
+from robot_ik.camera import device
 from robot_ik.camera.drawing import probe as drawing_probe
 from robot_ik.commands.environment import GL_PACKAGES, OPENCV_WHEELS, graphics_error, version_of
 from robot_ik.errors import DISTRIBUTION, install_command
 from robot_ik.hardware.checks import NOTE, OK, PROBLEM, CheckRow, permission_hint
 from robot_ik.hardware.ports import serial_ports, serial_row
 
-#: Seconds that the whole doctor may take: each child process gets what is left of them.
-WHOLE_LIMIT = 9.0
-#: A distribution of another project that installs a package of the same import name.
-FOREIGN_DISTRIBUTION = "robot-ik"
-#: Children at the same time: more only make each other late on a small machine.
-WORKERS = 4
+TIME_LIMIT = 9.0
+"""Seconds for all checks. Each child process gets the time that remains."""
 
+SHORTEST_TIME = 0.2
+"""Seconds that a child process gets at least, so that it can report that it was late."""
+
+FOREIGN_DISTRIBUTION = "robot-ik"
+"""A distribution of another project that installs a package ``robot_ik``."""
+
+WORKERS = 4
+"""Child processes at the same time. More of them slow each other down on a small machine."""
+
+GL_BACKENDS = ("egl", "osmesa") if sys.platform.startswith("linux") else ()
+"""Back ends of ``mujoco.Renderer`` that draw without a display. They exist on Linux only."""
 
 CheckFinding = tuple[str, str, str]
-"""Of one row: how it is, what was found, what to do about it."""
+"""Status, result and advice of one row."""
 
-#: A check takes the moment (``time.monotonic``) at which it must be done.
 Check = Callable[[float], CheckFinding | list[CheckRow]]
+"""Takes its deadline on ``time.monotonic``, in seconds."""
 
-
-class LateError(Exception):
-    """A check ran out of time, which is no proof of anything being broken."""
-
-
-def in_time(probe: drawing_probe.Probe) -> drawing_probe.Probe:
-    """What a child process found; raises ``LateError`` where it was stopped."""
-    if probe.late:
-        raise LateError(probe.text.splitlines()[-1])
-    return probe
-
-
-def time_left(until: float) -> float:
-    """Seconds for a child process; never none at all, so that it can at least say that it was late."""
-    return max(0.2, until - time.monotonic())
-
-
-def _run(code: str, until: float, environ: Mapping[str, str] | None = None) -> drawing_probe.Probe:
-    return in_time(drawing_probe.run_probe(code, timeout=time_left(until), environment=environ))
-
-
-def check_python(until: float) -> CheckFinding:
-    """Which Python this is."""
-    return OK, f"{sys.version.split()[0]}, {sys.executable}", ""
-
-
-def check_packages(until: float) -> CheckFinding:
-    """Every package that robot_ik's own metadata requires is installed."""
-    required = [text for text in metadata.requires(DISTRIBUTION) or [] if "extra ==" not in text]
-    names = [re.split(r"[^A-Za-z0-9._-]", text)[0] for text in required]
-    # Of OpenCV any of four wheels will do: see check_opencv.
-    versions = {name: version_of(name) for name in names if not name.startswith("opencv")}
-    if missing := [name for name, version in versions.items() if not version]:
-        return PROBLEM, f"missing: {', '.join(missing)}", install_command()
-    return OK, ", ".join(f"{name} {version}" for name, version in versions.items()), ""
-
-
-def check_distribution(until: float) -> CheckFinding:
-    """Another project is called ``robot-ik`` on the package index and installs a ``robot_ik`` of its own."""
-    version = version_of(DISTRIBUTION)
-    for foreign in metadata.distributions(name=FOREIGN_DISTRIBUTION):
-        # A build leaves metadata in its checkout. Only what is installed has a RECORD.
-        if foreign.read_text("RECORD") is None:
-            continue
-        name = f"{FOREIGN_DISTRIBUTION} {foreign.version}"
-        found = f"{name} is another project and overwrites the package robot_ik"
-        reinstall = f"pip install --force-reinstall --no-deps {DISTRIBUTION}"
-        return PROBLEM, found, f"pip uninstall -y {FOREIGN_DISTRIBUTION} && {reinstall}"
-    if not version:
-        return NOTE, f"{DISTRIBUTION} is not installed; this is a checkout", install_command()
-    return OK, f"{DISTRIBUTION} {version}", ""
-
-
-def check_mujoco(until: float) -> CheckFinding:
-    """MuJoCo 4 is an umbrella over mujoco-core; an upgrade across it can leave an empty shell."""
-    clean = {k: v for k, v in os.environ.items() if k != "MUJOCO_GL"}
-    probe = _run("import mujoco; mujoco.MjModel; print(mujoco.__version__)", until, clean)
-    umbrella, core = version_of("mujoco"), version_of("mujoco-core")
-    repair = "pip uninstall -y mujoco mujoco-core mujoco-studio && pip install mujoco"
-    if not probe.ok:
-        return PROBLEM, probe.text, repair
-    if core and umbrella and core != umbrella:
-        return NOTE, f"mujoco {umbrella} with mujoco-core {core}: mixed versions", repair
-    return OK, probe.text, ""
-
-
-def check_opencv(until: float) -> CheckFinding:
-    """One OpenCV wheel, importable, with the marker detector."""
-    wheels = [name for name in OPENCV_WHEELS if version_of(name)]
-    probe = _run("import cv2; cv2.aruco.ArucoDetector; print(cv2.__version__)", until)
-    install = "pip install opencv-contrib-python-headless"
-    one = f"pip uninstall -y {' '.join(wheels)} && {install}" if wheels else install
-    if not probe.ok:
-        return PROBLEM, probe.text, one
-    if len(wheels) > 1:
-        return NOTE, f"{probe.text}; several wheels share one folder: {', '.join(wheels)}", one
-    return OK, f"{probe.text} ({wheels[0] if wheels else 'not from a wheel'})", ""
-
-
-def check_user_gl(until: float) -> CheckFinding:
-    """The user's own ``MUJOCO_GL``: when its library is missing, ``import mujoco`` fails."""
-    value = os.environ.get("MUJOCO_GL", "")
-    if not value:
-        return OK, "not set; robot_ik needs no OpenGL", ""
-    if value.lower().strip() in drawing_probe.GL_OFF:
-        return OK, f"{value}: OpenGL is switched off", ""
-    probe = _run("import mujoco", until)
-    if not probe.ok:
-        error = graphics_error(value, probe.text)
-        return PROBLEM, str(error.args[0]), "; ".join(error.hint.splitlines()[:2])
-    drawn = drawing_probe.probe_gl(value, timeout=time_left(until))
-    if not drawn.ok:
-        return NOTE, f"{value} cannot draw: {drawn.text}", "unset MUJOCO_GL"
-    return OK, f"{value}: {drawn.text}", ""
-
-
-def check_gl(backend: str, until: float) -> CheckFinding:
-    """Whether ``mujoco.Renderer`` could draw with this back end (nothing in robot_ik must)."""
-    probe = in_time(drawing_probe.probe_gl(backend, timeout=time_left(until)))
-    if probe.ok:
-        return OK, probe.text, ""
-    packages = GL_PACKAGES[backend]
-    return NOTE, f"not usable: {probe.text}", f"only for mujoco.Renderer: sudo apt-get install {packages}"
-
-
-def check_display(until: float) -> CheckFinding:
-    """Whether the viewer window (--viewer) can open."""
-    probe = in_time(drawing_probe.probe_display(timeout=time_left(until)))
-    if not probe.ok:
-        return NOTE, probe.text, "only --viewer needs one; pictures are written without it"
-    do = "run through mjpython to use --viewer" if sys.platform == "darwin" else ""
-    return OK, f"{probe.text} ({os.environ.get('DISPLAY', '')})", do
-
-
-def check_kernels(until: float) -> CheckFinding:
-    """Whether numba imports, and whether compiled kernels can be kept between runs."""
-    probe = _run("from robot_ik.kernels.jit import cache_folder; print(cache_folder().parent)", until)
-    if not probe.ok:
-        return PROBLEM, probe.text, "pip install --force-reinstall numba"
-    if Path(probe.text).is_relative_to(tempfile.gettempdir()):
-        do = "make the cache folder of your user writable, or set XDG_CACHE_HOME"
-        return NOTE, f"kept only in {probe.text}: they compile again after a restart", do
-    return OK, f"kept in {probe.text}", ""
-
-
-def check_terminal(until: float) -> CheckFinding:
-    """Whether colours, progress bars and signs other than ASCII can be shown."""
-    stream = sys.__stdout__ or sys.stdout  # a progress bar stands in for sys.stdout
-    terminal, encoding = stream.isatty(), (stream.encoding or "").lower()
-    found = f"{'a terminal' if terminal else 'not a terminal'}, TERM={os.environ.get('TERM', '')}, {encoding}"
-    if terminal and "utf" not in encoding:
-        return NOTE, found, "set PYTHONIOENCODING=utf-8 for clean tables"
-    return OK, found, ""
-
-
-def run_checks(checks: Mapping[str, Check], limit: float = WHOLE_LIMIT) -> list[CheckRow]:
-    """Runs the checks side by side; rows come in the order of the checks, and a crash is a row.
-
-    Args:
-        checks: By name; the ones that need a child process and matter most first: they get the most time.
-        limit: Seconds for all of them together.
-    """
-    until = time.monotonic() + limit
-
-    def guarded(name: str) -> list[CheckRow]:
-        try:
-            found = checks[name](until)
-            return found if isinstance(found, list) else [CheckRow(name, *found)]
-        except LateError as late:
-            return [CheckRow(name, NOTE, f"not checked: {late}", "run it again when the machine is idle")]
-        except Exception as error:  # one check must not end the others
-            problem = f"could not be checked: {type(error).__name__}: {error}"
-            return [CheckRow(name, NOTE, problem, "report this")]
-
-    with ThreadPoolExecutor(max_workers=WORKERS) as pool:
-        return [row for rows in pool.map(guarded, checks) for row in rows]
-
-
-# ------------------------------------------------------------------------------------------
-# The doctor's view of serial ports and cameras: permission, latency, who else uses them.
-#
-# No serial port is opened (opening one can reset the board behind it); cameras are opened for one
-# picture in a child process with a time limit.
-
-
-# Prints a line per camera as it goes, so that what was found survives the time limit.
-_CAMERA_CODE = """
+# It prints a line for each camera at once. The lines before the time limit are kept.
+CAMERA_CODE = """
 import os, sys
 os.environ["OPENCV_LOG_LEVEL"] = "SILENT"
 import cv2
@@ -216,40 +60,239 @@ for path in {paths!r}:
 """
 
 
-def check_serial(until: float) -> CheckFinding | list[CheckRow]:
-    """Serial ports with what stands in the way of using them."""
-    rows = [serial_row(p.device, p.description or "serial port", p.vid) for p in serial_ports()]
-    return rows or (NOTE, "no USB serial port", "plug the adapter in; --bus pty and sim need none")
+class LateError(Exception):
+    """A check ran out of time. It proves nothing about the part that was checked."""
 
 
-def check_cameras(until: float) -> CheckFinding | list[CheckRow]:
-    """Cameras that give a picture."""
+def in_time(probe: drawing_probe.Probe) -> drawing_probe.Probe:
+    """Return the result of a child process.
+
+    Raises:
+        LateError: The child process was stopped at its deadline.
+    """
+    if probe.late:
+        raise LateError(probe.text.splitlines()[-1])
+    return probe
+
+
+def time_left(deadline: float) -> float:
+    """Return the seconds that a child process may take."""
+    return max(SHORTEST_TIME, deadline - time.monotonic())
+
+
+def run_code(
+    code: str, deadline: float, environment: Mapping[str, str] | None = None
+) -> drawing_probe.Probe:
+    """Run Python code in a child process, or raise ``LateError``."""
+    timeout = time_left(deadline)
+    return in_time(drawing_probe.run_probe(code, timeout=timeout, environment=environment))
+
+
+def check_python(_deadline: float) -> CheckFinding:
+    """Report the version and the path of Python."""
+    return OK, f"{sys.version.split()[0]}, {sys.executable}", ""
+
+
+def check_packages(_deadline: float) -> CheckFinding:
+    """Check that each package that robot_ik requires is installed."""
+    requirements = metadata.requires(DISTRIBUTION) or []
+    required = [text for text in requirements if "extra ==" not in text]
+    names = [re.split(r"[^A-Za-z0-9._-]", text)[0] for text in required]
+    # Any of four distributions provides OpenCV; check_opencv checks them.
+    versions = {name: version_of(name) for name in names if not name.startswith("opencv")}
+    missing = [name for name, version in versions.items() if not version]
+    if missing:
+        return PROBLEM, f"missing: {', '.join(missing)}", install_command()
+    return OK, ", ".join(f"{name} {version}" for name, version in versions.items()), ""
+
+
+def check_distribution(_deadline: float) -> CheckFinding:
+    """Check that no other project has overwritten the package ``robot_ik``."""
+    version = version_of(DISTRIBUTION)
+    for foreign in metadata.distributions(name=FOREIGN_DISTRIBUTION):
+        # A build leaves metadata in its checkout. Only an installed distribution has a RECORD.
+        if foreign.read_text("RECORD") is None:
+            continue
+        name = f"{FOREIGN_DISTRIBUTION} {foreign.version}"
+        found = f"{name} is another project and overwrites the package robot_ik"
+        reinstall = f"pip install --force-reinstall --no-deps {DISTRIBUTION}"
+        return PROBLEM, found, f"pip uninstall -y {FOREIGN_DISTRIBUTION} && {reinstall}"
+    if not version:
+        return NOTE, f"{DISTRIBUTION} is not installed; this is a checkout", install_command()
+    return OK, f"{DISTRIBUTION} {version}", ""
+
+
+def check_mujoco(deadline: float) -> CheckFinding:
+    """Check that MuJoCo can be imported.
+
+    The package mujoco 4 installs mujoco-core. An upgrade to it can leave a package without content.
+    """
+    environment = {key: value for key, value in os.environ.items() if key != "MUJOCO_GL"}
+    code = "import mujoco; mujoco.MjModel; print(mujoco.__version__)"
+    probe = run_code(code, deadline, environment)
+    version = version_of("mujoco")
+    core_version = version_of("mujoco-core")
+    repair = "pip uninstall -y mujoco mujoco-core mujoco-studio && pip install mujoco"
+    if not probe.ok:
+        return PROBLEM, probe.text, repair
+    if core_version and version and core_version != version:
+        return NOTE, f"mujoco {version} with mujoco-core {core_version}: mixed versions", repair
+    return OK, probe.text, ""
+
+
+def check_opencv(deadline: float) -> CheckFinding:
+    """Check that OpenCV can be imported with its marker detector, from a single distribution."""
+    wheels = [name for name in OPENCV_WHEELS if version_of(name)]
+    code = "import cv2; cv2.aruco.ArucoDetector; print(cv2.__version__)"
+    probe = run_code(code, deadline)
+    repair = "pip install opencv-contrib-python-headless"
+    if wheels:
+        repair = f"pip uninstall -y {' '.join(wheels)} && {repair}"
+    if not probe.ok:
+        return PROBLEM, probe.text, repair
+    if len(wheels) > 1:
+        found = f"{probe.text}; several wheels share one folder: {', '.join(wheels)}"
+        return NOTE, found, repair
+    return OK, f"{probe.text} ({wheels[0] if wheels else 'not from a wheel'})", ""
+
+
+def check_user_gl(deadline: float) -> CheckFinding:
+    """Check ``MUJOCO_GL`` as the user set it.
+
+    If the library of that back end is missing, ``import mujoco`` fails.
+    """
+    value = os.environ.get("MUJOCO_GL", "")
+    if not value:
+        return OK, "not set; robot_ik needs no OpenGL", ""
+    if value.lower().strip() in drawing_probe.GL_OFF:
+        return OK, f"{value}: OpenGL is switched off", ""
+    probe = run_code("import mujoco", deadline)
+    if not probe.ok:
+        error = graphics_error(value, probe.text)
+        return PROBLEM, str(error.args[0]), "; ".join(error.hint.splitlines()[:2])
+    picture = drawing_probe.probe_gl(value, timeout=time_left(deadline))
+    if not picture.ok:
+        return NOTE, f"{value} cannot draw: {picture.text}", "unset MUJOCO_GL"
+    return OK, f"{value}: {picture.text}", ""
+
+
+def check_gl(backend: str, deadline: float) -> CheckFinding:
+    """Check whether ``mujoco.Renderer`` can draw with a back end. No command needs it."""
+    probe = in_time(drawing_probe.probe_gl(backend, timeout=time_left(deadline)))
+    if probe.ok:
+        return OK, probe.text, ""
+    install = f"only for mujoco.Renderer: sudo apt-get install {GL_PACKAGES[backend]}"
+    return NOTE, f"not usable: {probe.text}", install
+
+
+def check_display(deadline: float) -> CheckFinding:
+    """Check whether the window of --viewer can open."""
+    probe = in_time(drawing_probe.probe_display(timeout=time_left(deadline)))
+    if not probe.ok:
+        return NOTE, probe.text, "only --viewer needs one; pictures are written without it"
+    advice = "run through mjpython to use --viewer" if sys.platform == "darwin" else ""
+    return OK, f"{probe.text} ({os.environ.get('DISPLAY', '')})", advice
+
+
+def check_kernels(deadline: float) -> CheckFinding:
+    """Check that Numba can be imported, and that compiled kernels are kept between runs."""
+    code = "from robot_ik.kernels.jit import cache_folder; print(cache_folder().parent)"
+    probe = run_code(code, deadline)
+    if not probe.ok:
+        return PROBLEM, probe.text, "pip install --force-reinstall numba"
+    if Path(probe.text).is_relative_to(tempfile.gettempdir()):
+        found = f"kept only in {probe.text}: they compile again after a restart"
+        advice = "make the cache folder of your user writable, or set XDG_CACHE_HOME"
+        return NOTE, found, advice
+    return OK, f"kept in {probe.text}", ""
+
+
+def check_terminal(_deadline: float) -> CheckFinding:
+    """Check whether colours, progress bars and characters beyond ASCII can be shown."""
+    # The progress display replaces sys.stdout while the checks run.
+    stream = sys.__stdout__ or sys.stdout
+    encoding = (stream.encoding or "").lower()
+    kind = "a terminal" if stream.isatty() else "not a terminal"
+    found = f"{kind}, TERM={os.environ.get('TERM', '')}, {encoding}"
+    if stream.isatty() and "utf" not in encoding:
+        return NOTE, found, "set PYTHONIOENCODING=utf-8 for clean tables"
+    return OK, found, ""
+
+
+def check_serial(_deadline: float) -> CheckFinding | list[CheckRow]:
+    """Check permission, latency and present users of each serial port."""
+    ports = serial_ports()
+    if not ports:
+        return NOTE, "no USB serial port", "plug the adapter in; --bus pty and sim need none"
+    return [serial_row(port.device, port.description or "serial port", port.vid) for port in ports]
+
+
+def check_cameras(deadline: float) -> CheckFinding | list[CheckRow]:
+    """Check whether each camera gives a picture."""
     if not sys.platform.startswith("linux"):
         return NOTE, "not looked for on this system", "try: robot-ik reach --camera 0"
-    from robot_ik.camera.device import find_cameras
-
-    # A camera has a second device node for its metadata, which never gives a picture.
-    names = {camera.path: camera.name for camera in find_cameras() if camera.pictures}
+    # A camera has a second device file for its metadata, which gives no picture.
+    names = {camera.path: camera.name for camera in device.find_cameras() if camera.pictures}
     if not names:
         return NOTE, "none", "plug one in; --camera synthetic, a photo or a video need none"
-    usable = [p for p in names if os.access(p, os.R_OK | os.W_OK)]
+
+    readable = [path for path in names if os.access(path, os.R_OK | os.W_OK)]
     rows = [
-        CheckRow(f"camera {p}", NOTE, "no permission", permission_hint(p)) for p in names if p not in usable
+        CheckRow(f"camera {path}", NOTE, "no permission", permission_hint(path))
+        for path in names
+        if path not in readable
     ]
-    results = {}
-    if usable:
-        probe = drawing_probe.run_probe(_CAMERA_CODE.format(paths=usable), timeout=time_left(until))
-        results = dict(line.split("=", 1) for line in probe.text.splitlines() if "=" in line)
-    for path in usable:
-        result = results.get(path, "no answer in time")
-        good = result[:1].isdigit()
-        do = "" if good else "in use by another program, or this node carries no pictures"
-        found = f"{names[path]}: {result}" if names[path] else result
-        rows.append(CheckRow(f"camera {path}", OK if good else NOTE, found, do))
+    sizes = picture_sizes(readable, deadline)
+    for path in readable:
+        size = sizes.get(path, "no answer in time")
+        found = f"{names[path]}: {size}" if names[path] else size
+        if size[:1].isdigit():
+            rows.append(CheckRow(f"camera {path}", OK, found))
+        else:
+            advice = "in use by another program, or this node carries no pictures"
+            rows.append(CheckRow(f"camera {path}", NOTE, found, advice))
     return rows
 
 
-_BACKENDS = ("egl", "osmesa") if sys.platform.startswith("linux") else ()
+def picture_sizes(paths: Sequence[str], deadline: float) -> dict[str, str]:
+    """Return the size of a picture of each camera, or the reason for which there is none.
+
+    A camera that gave no answer before the deadline is missing.
+    """
+    if not paths:
+        return {}
+    code = CAMERA_CODE.format(paths=paths)
+    probe = drawing_probe.run_probe(code, timeout=time_left(deadline))
+    lines = [line.split("=", 1) for line in probe.text.splitlines() if "=" in line]
+    return {path: size for path, size in lines}
+
+
+def run_checks(checks: Mapping[str, Check], limit: float = TIME_LIMIT) -> list[CheckRow]:
+    """Run checks at the same time. A check that raises an error becomes a row.
+
+    Args:
+        checks: Check by name. The first ones start first and get the most time.
+        limit: Seconds for all checks.
+
+    Returns:
+        The rows, in the order of the checks.
+    """
+    deadline = time.monotonic() + limit
+
+    def rows_of(name: str) -> list[CheckRow]:
+        try:
+            finding = checks[name](deadline)
+        except LateError as late:
+            advice = "run it again when the machine is idle"
+            return [CheckRow(name, NOTE, f"not checked: {late}", advice)]
+        except Exception as error:  # an error in one check does not end the others
+            problem = f"could not be checked: {type(error).__name__}: {error}"
+            return [CheckRow(name, NOTE, problem, "report this")]
+        return finding if isinstance(finding, list) else [CheckRow(name, *finding)]
+
+    with ThreadPoolExecutor(max_workers=WORKERS) as pool:
+        return [row for rows in pool.map(rows_of, checks) for row in rows]
+
 
 CHECKS: Mapping[str, Check] = {
     "python": check_python,
@@ -259,9 +302,10 @@ CHECKS: Mapping[str, Check] = {
     "opencv": check_opencv,
     "kernels": check_kernels,
     "MUJOCO_GL": check_user_gl,
-    **{f"GL {backend}": functools.partial(check_gl, backend) for backend in _BACKENDS},
+    **{f"GL {backend}": functools.partial(check_gl, backend) for backend in GL_BACKENDS},
     "display": check_display,
     "serial": check_serial,
     "camera": check_cameras,
     "terminal": check_terminal,
 }
+"""All checks by name."""

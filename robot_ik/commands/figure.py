@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -12,8 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from robot_ik.commands.options import (
-    OUTPUT,
-    OUTPUT_GROUP,
     BoardName,
     CameraSource,
     Dictionary,
@@ -23,6 +20,7 @@ from robot_ik.commands.options import (
     JsonOption,
     MarkerSize,
     OverwriteOption,
+    RecordFile,
     RobotName,
     RobotPose,
     Seconds,
@@ -35,9 +33,9 @@ from robot_ik.commands.terminal import QUIET, Report, Terminal
 from robot_ik.errors import OptionError
 
 if TYPE_CHECKING:
-    from robot_ik.commands.figure_runs import FigureReport as Performance
-    from robot_ik.commands.figure_runs import FigureRequest
+    from robot_ik.commands.figure_runs import Performance
     from robot_ik.figure.abilities import Abilities
+    from robot_ik.figure.figure import Figure as Humanoid
     from robot_ik.figure.lion import Lion
     from robot_ik.figure.session import FigureFrame
     from robot_ik.robot import Robot
@@ -97,15 +95,17 @@ class Figure(OverwriteOption, JsonOption):
     viewer: bool = False
     """Show the motion live. A MuJoCo window, which stays open until you close it."""
     video: DrawnVideo = None
-    record: Annotated[Path | None, Parameter(metavar="FILE.csv", group=OUTPUT_GROUP), OUTPUT] = None
-    """Record every command and measurement. One row for each frame."""
+    record: RecordFile = None
 
     def run(self, terminal: Terminal = QUIET) -> FigureReport:
         """Show the balls to the figure, and write the files."""
         self._require_possible()
         from robot_ik.figure.lion import Lion, is_lion
+        from robot_ik.motion.recording import require_recording
         from robot_ik.robot import load_robot
 
+        if self.record is not None:
+            require_recording(self.record)
         terminal.progress("loading")
         robot = load_robot(self.robot)
         if robot.file.figure is None and is_lion(robot):
@@ -117,12 +117,12 @@ class Figure(OverwriteOption, JsonOption):
         else:
             report = self._run_figure(make_abilities(robot, terminal), terminal)
         if self.video is not None and not self.camera:
-            from robot_ik.commands.figure_runs import record
+            from robot_ik.commands.figure_film import save_film
 
             terminal.progress(f"drawing {self.video}")
             frames = report.performance.frames
             progress = terminal.counting("picture")
-            record(robot, frames, self.video, progress, overwrite=self.overwrite)
+            save_film(robot, frames, self.video, progress, overwrite=self.overwrite)
         return report
 
     def _require_possible(self) -> None:
@@ -160,47 +160,43 @@ class Figure(OverwriteOption, JsonOption):
         return () if self.path or self.camera else BALLS
 
     def _run_lion(self, lion: Lion, terminal: Terminal) -> FigureReport:
-        import numpy as np
-
         from robot_ik.commands.figure_runs import run_lion
-        from robot_ik.motion.keyframes import Keyframes
 
         balls = LION_BALLS if self.ball is None else (self.ball,)
         paws = {paw: paw for paw in lion.paws}
         performance = self._watch(lion.robot, paws, run_lion(lion, balls), terminal)
-        if self.record is not None:
-            q = [frame.q for frame in performance.frames]
-            Keyframes(lion.robot, np.arange(len(q)) / 60.0, q).save_csv(self.record)
+        self._save_recording(lion.robot, None, performance)
         return FigureReport(self, performance)
 
     def _run_figure(self, abilities: Abilities, terminal: Terminal) -> FigureReport:
-        from robot_ik.commands.figure_runs import (
-            FigureRequest,
-            frames_table,
-            run_figure,
-            run_marker,
-        )
-        from robot_ik.files import write_atomically
+        from robot_ik.commands.figure_runs import FigureRequest, run_figure, run_marker
 
-        request = FigureRequest(
-            self._balls(), self.path or "", self.seconds, self._stance(), "active", seed=self.seed
-        )
+        stance = self._stance()
         figure = abilities.figure
         notes: list[str] = []
         if not self.camera:
+            request = FigureRequest(self._balls(), self.path, self.seconds, stance, self.seed)
             frames = run_figure(abilities, request)
         elif self.video is None:
             from robot_ik.testbed.ar.overlay import marker_positions
 
             positions = marker_positions(self._drawing(), figure.robot)
-            frames = run_marker(abilities, request, positions)
+            frames = run_marker(abilities, stance, positions)
         else:
-            frames = self._draw(abilities, request, notes, terminal)
+            frames = self._draw(abilities, stance, notes, terminal)
         performance = self._watch(figure.robot, figure.hands, frames, terminal)
-        if self.record is not None:
-            text = frames_table(figure, performance.frames, self.seed)
-            write_atomically(self.record, text)
+        self._save_recording(figure.robot, figure, performance)
         return FigureReport(self, performance, notes)
+
+    def _save_recording(
+        self, robot: Robot, humanoid: Humanoid | None, performance: Performance
+    ) -> None:
+        """Write the file of ``--record``, if it is given."""
+        if self.record is None:
+            return
+        from robot_ik.commands.figure_recording import save_recording
+
+        save_recording(robot, humanoid, performance.frames, self.record, self.seed)
 
     def _drawing(self) -> ArRequest:
         """Return the pictures of the camera, and what is drawn into them."""
@@ -224,13 +220,17 @@ class Figure(OverwriteOption, JsonOption):
         )
 
     def _draw(
-        self, abilities: Abilities, request: FigureRequest, notes: list[str], terminal: Terminal
+        self,
+        abilities: Abilities,
+        stance: tuple[float, float, float],
+        notes: list[str],
+        terminal: Terminal,
     ) -> Iterator[FigureFrame]:
         """Draw the figure into the pictures of the camera. Append to ``notes``."""
         from robot_ik.commands.figure_runs import draw_on_camera
 
         progress = terminal.counting("picture")
-        drawing, frames = draw_on_camera(abilities, request, self._drawing(), progress)
+        drawing, frames = draw_on_camera(abilities, stance, self._drawing(), progress)
         if drawing.notice:
             notes.append(drawing.notice)
         notes.append(f"{drawing.pictures} pictures, the figure in {drawing.drawn}: {drawing.file}")
@@ -263,8 +263,11 @@ class Figure(OverwriteOption, JsonOption):
     ) -> Performance:
         import numpy as np
 
-        from robot_ik.commands.figure_runs import BALL_RADIUS, TILES, watch
+        from robot_ik.commands.figure_film import BALL_RADIUS, TILES
+        from robot_ik.commands.figure_runs import watch
         from robot_ik.geometry import Pose
+        from robot_ik.ports import RealClock
+        from robot_ik.schedule import Schedule
         from robot_ik.testbed.frontends.window import Solid, WindowSink
 
         floor = [Solid(Pose(position), half, rgba) for position, half, rgba in TILES]
@@ -273,15 +276,14 @@ class Figure(OverwriteOption, JsonOption):
         hint = "run it without --viewer, or film it with --video"
         window = WindowSink(robot, ball=BALL_RADIUS, see=see, solids=floor, instead=hint)
         with window:
-            began = time.monotonic()
+            ticks = Schedule(RealClock()).ticks((frame.t, frame) for frame in frames)
 
             def show(frame: FigureFrame) -> None:
-                time.sleep(max(0.0, began + frame.t - time.monotonic()))
                 window.show_ball(frame.ball)
                 window.show_text(frame.action, frame.decision.reason)
                 window.send(frame.q, frame.t)
 
-            performance = watch(robot, hands, frames, show)
+            performance = watch(robot, hands, (frame for _, frame in ticks), show)
             window.wait()
         return performance
 

@@ -48,6 +48,11 @@ EPILOGUE = """--debug shows tracebacks and the whole log (also: ROBOT_IK_DEBUG=1
 
 Exit codes: 0 done; 1 not achieved; 2 wrong input; 130 Ctrl-C"""
 
+AMBIGUOUS_ALIASES = {
+    "calibrate": "robot-ik servo calibrate runs; for a camera: robot-ik camera calibrate"
+}
+"""Alias that may mean two commands -> first line on stderr, which names both."""
+
 HELP_FLAGS = frozenset(("--help", "-h"))
 VERSION_FLAGS = ("--version", "-V")
 
@@ -149,20 +154,14 @@ GROUPS: dict[str, tuple[Row, ...]] = {
             "servo record",
             "Record the arm while a person guides it by hand.",
             "servo_record:ServoRecord",
-            aliases=(
-                "record",
-                "servo teach",
-            ),
+            aliases=("record",),
             mujoco=False,
         ),
         Row(
             "servo replay",
             "Repeat a recording within the limits.",
             "servo_replay:ServoReplay",
-            aliases=(
-                "replay",
-                "servo play",
-            ),
+            aliases=("replay",),
             mujoco=False,
         ),
         Row(
@@ -269,7 +268,7 @@ def make_app() -> App:
         help="Inverse kinematics for robot arms in Python, from camera to servo.",
         help_epilogue=EPILOGUE,
         help_format="plaintext",
-        help_formatter=_render_panel,
+        help_formatter=HelpFormatter(),
         version_flags=VERSION_FLAGS,
         group_commands=Group("Other", sort_key=99),
         group_parameters=Group("Options", sort_key=1),
@@ -319,15 +318,28 @@ def completion_script(shell: Literal["bash", "zsh", "fish"]) -> str:
     return app.generate_completion(shell=shell)
 
 
-def _render_panel(console: Any, options: Any, panel: Any) -> None:
-    """Print a panel of the help. Descriptions of several source lines become one paragraph."""
-    from cyclopts.help import DefaultFormatter  # imports rich
+class HelpFormatter:
+    """Prints a help as cyclopts does. Descriptions of several lines become one paragraph."""
 
-    for entry in panel.entries:
-        text = getattr(entry.description, "primary_renderable", None)
-        if text is not None:
-            entry.description.primary_renderable = type(text)(" ".join(str(text).split()))
-    DefaultFormatter()(console, options, panel)
+    def __call__(self, console: Any, options: Any, panel: Any) -> None:
+        for entry in panel.entries:
+            text = getattr(entry.description, "primary_renderable", None)
+            if text is not None:
+                entry.description.primary_renderable = type(text)(" ".join(str(text).split()))
+        self._default()(console, options, panel)
+
+    def render_usage(self, console: Any, options: Any, usage: Any) -> None:
+        """Print the line with the usage."""
+        self._default().render_usage(console, options, usage)
+
+    def render_description(self, console: Any, options: Any, description: Any) -> None:
+        """Print the text above the panels."""
+        self._default().render_description(console, options, description)
+
+    def _default(self) -> Any:
+        from cyclopts.help import DefaultFormatter  # imports rich
+
+        return DefaultFormatter()
 
 
 def _default_text(value: object) -> str | None:
@@ -387,6 +399,8 @@ def run_command(arguments: Sequence[str], *, debug: bool = False) -> int:
     name, command = parse_command(words)
     if command is None:  # help was printed
         return DONE if HELP_FLAGS.intersection(words) else WRONG_INPUT
+    if name in AMBIGUOUS_ALIASES:
+        say(AMBIGUOUS_ALIASES[name], "yellow")
     return _run(command, name, debug=debug)
 
 

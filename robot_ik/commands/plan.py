@@ -142,7 +142,7 @@ class PlanReport(Report):
         return self.result.found
 
     def facts(self) -> dict[str, Any]:
-        """Return the JSON object. docs/how-to/collisions.md describes it."""
+        """Return the JSON object. docs/reference/json.md describes it."""
         result = self.result
         trajectory = result.trajectory
         return {

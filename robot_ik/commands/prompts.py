@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from robot_ik.commands.terminal import Terminal, show_error
 from robot_ik.errors import HardwareError, OptionError
+from robot_ik.schedule import Schedule, regular
 
 if TYPE_CHECKING:
     from robot_ik.hardware.calibration import OperatorError
@@ -82,12 +83,11 @@ class Prompts:
                 target=self._read_lines, name="standard input", daemon=True
             )
             self._reader.start()
-        due = self._clock.now()
-        end = due + (self._seconds or 0.0)
-        while not self._is_done(end):
+        end = self._clock.now() + (self._seconds or 0.0)
+        for _ in Schedule(self._clock).ticks(regular(1.0 / self._period)):
+            if self._is_done(end):
+                break
             sample()
-            due = max(due + self._period, self._clock.now())
-            self._clock.sleep_until(due)
         sample()
 
     def note(self, text: str) -> None:

@@ -101,10 +101,10 @@ class Reach(FolderOption, JsonOption):
     """Plan a motion around the robot itself and the obstacles of --scene, or of the arm file."""
     follow: Annotated[Seconds | None, Parameter(metavar="S")] = None
     """Follow the marker for this time after reaching it, in seconds."""
-    max_angle: Annotated[
+    max_angle_deg: Annotated[
         float | None, Parameter(metavar="DEG", validator=Number(gte=0.0, lte=180.0))
     ] = None
-    """Largest angle in degrees that an arm with five joints may leave to the axis of the marker.
+    """Largest angle that an arm with five joints may leave to the axis of the marker, in degrees.
     With a larger angle nothing moves. Default: any angle."""
     when_lost: Literal["hold", "park", "stop"] = "hold"
     """What to do if the marker is lost for 2 s while following."""
@@ -325,6 +325,7 @@ def carry_out(cell: Cell, report: ReachReport, terminal: Terminal) -> None:
     report.solved = solve(cell, report.goal)
     solution = report.solved.solution
     tolerance = accepted_error(cell, report.seen, solution)
+    report.accepted = tolerance
     report.prediction = predict(cell, report.goal, report.seen, solution, terminal)
     if setup.guard is not None:
         plan_motion(cell, report.goal, solution)  # a blocked motion is refused before torque is on
@@ -430,13 +431,13 @@ def predict(
     """Return the predicted axis error, and print it if the axis is not met.
 
     Raises:
-        NotConvergedError: The angle is larger than ``--max-angle``.
+        NotConvergedError: The angle is larger than ``--max-angle-deg``.
     """
     from robot_ik.workcell.marker_turn import predict_axis, require_angle
 
     marker = None if seen is None else seen.pose_world_marker
     axis = predict_axis(cell.setup.robot, goal, solution, marker)
-    limit = cell.command.max_angle
+    limit = cell.command.max_angle_deg
     require_angle(axis, None if limit is None else math.radians(limit), solution)
     if axis is not None and not axis.is_met:
         terminal.say(axis.sentence())

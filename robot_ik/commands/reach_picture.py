@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +23,7 @@ from robot_ik.camera.image import write_image
 from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.errors import distinct_texts
 from robot_ik.files import write_atomically
-from robot_ik.motion.trajectory import csv_table
+from robot_ik.motion.joint_table import Moment, table_text
 from robot_ik.testbed.frontends.scene_window import window_scene
 from robot_ik.workcell.films import Film
 from robot_ik.workcell.results import save_json
@@ -139,16 +140,14 @@ def outcome_text(report: ReachReport) -> str:
 
 
 def trajectory_table(report: ReachReport) -> str:
-    """Return the CSV table of times, commanded and measured joint angles."""
+    """Return the CSV table of commanded and measured joint positions."""
     run = report.execution
     if run is None:
         raise RuntimeError("nothing was executed")
-    names = ["time_s", *(f"{joint}_commanded" for joint in run.joints)]
-    columns = [run.times[:, None], run.commanded]
-    if run.measured is not None:
-        names += [f"{joint}_measured" for joint in run.joints]
-        columns.append(run.measured)
-    return csv_table(names, np.hstack(columns).tolist())
+    measured = repeat(None) if run.measured is None else iter(run.measured)
+    rows = zip(run.times.tolist(), run.commanded, measured, strict=False)
+    moments = (Moment(now, commanded=command, measured=reading) for now, command, reading in rows)
+    return table_text(run.joints, moments)
 
 
 def save_video(report: ReachReport, path: Path) -> Path | None:

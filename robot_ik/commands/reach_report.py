@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from robot_ik.commands.reach import Reach
     from robot_ik.execution import Execution, FollowReport
     from robot_ik.geometry import Pose
-    from robot_ik.goals import Goal
+    from robot_ik.goals import Goal, Tolerance
     from robot_ik.motion.trajectory import Trajectory
     from robot_ik.ports import Array
     from robot_ik.robot import Robot
@@ -86,6 +86,7 @@ class ReachReport(Report):
         seen: The sighting of the target marker. None if the goal was given.
         q_start: (nq,) joint angles before the motion.
         solved: The solution.
+        accepted: Error of the solution that is accepted. None if the error is larger.
         prediction: Predicted axis error of an arm with five joints.
         trajectory: The planned motion.
         execution: The motion.
@@ -105,6 +106,7 @@ class ReachReport(Report):
     seen: SeenTarget | None = None
     q_start: Array | None = None
     solved: Solved | None = None
+    accepted: Tolerance | None = None
     prediction: AxisPrediction | None = None
     trajectory: Trajectory | None = None
     execution: Execution | None = None
@@ -226,14 +228,21 @@ class ReachReport(Report):
         if self.solved is None:
             return
         solution = self.solved.solution
-        parts = [f"{solution.solver}: {solution.status.name.lower()}"]
+        status = solution.status.name.lower()
+        angle = math.degrees(solution.error.angle)
+        error = f"{1e3 * solution.error.position:.4f} mm, {angle:.4f}°  (by MuJoCo)"
+        if self.accepted is not None and not solution.converged:
+            status = f"exact goal not met ({status})"
+            allowed = f"{1e3 * self.accepted.position:.2f} mm"
+            allowed += f", {math.degrees(self.accepted.angle):.2f}°"
+            error += f"; allowed {allowed} (3 σ of the marker)"
+        parts = [f"{solution.solver}: {status}"]
         parts.append(plural(solution.iterations, "iteration"))
         if solution.restarts:
             parts.append(plural(solution.restarts, "restart"))
         parts.append(f"{self.solved.microseconds:.0f} µs")
         yield "solver", ", ".join(parts)
-        angle = math.degrees(solution.error.angle)
-        yield "its error", f"{1e3 * solution.error.position:.4f} mm, {angle:.4f}°  (by MuJoCo)"
+        yield "error", error
         if self.prediction is not None and not self.prediction.is_met:
             yield "axis", self.prediction.sentence()
 

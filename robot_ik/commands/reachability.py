@@ -56,9 +56,10 @@ OUTCOMES = {
 class Reachability(JsonOption):
     """Measure which poses an arm can reach, cell by cell.
 
-    Joint limits and collisions of the arm with itself count. The robot needs a closed form for
-    poses. Writes map.zarr, cloud.ply and, with the extra `plots`, slices as PNG. Ctrl-C keeps the
-    finished blocks, and the same command with the same --out continues there.
+    Joint limits and collisions of the arm with itself are checked. A robot without a closed form
+    is solved by `lm`, which is much slower. Writes map.zarr, cloud.ply and, with the extra `plots`,
+    slices as PNG. Ctrl-C keeps the finished blocks, and the same command with the same --out
+    continues there.
 
         robot-ik reachability --robot puma560 --cell 0.1
     """

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
@@ -16,6 +15,7 @@ from robot_ik.commands.arms import load_arm, open_servo_bus
 from robot_ik.commands.options import BusOptions, JsonOption, SampleRate
 from robot_ik.commands.tables import table
 from robot_ik.commands.terminal import QUIET, Report, Terminal
+from robot_ik.schedule import Schedule, regular
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -58,14 +58,9 @@ class ServoMonitor(BusOptions, JsonOption):
         states: Sequence[ServoState] = ()
         with open_servo_bus(self.bus, config) as bus, _display(terminal) as show:
             begin = bus.clock.now()
-            due = begin
-            for k in itertools.count(1):
+            for _ in Schedule(bus.clock).ticks(regular(self.rate, self.count)):
                 states = read_states(bus, config.drives)
                 show(round(bus.clock.now() - begin, 6), states)
-                if k == self.count:
-                    break
-                due = max(due + 1.0 / self.rate, bus.clock.now())
-                bus.clock.sleep_until(due)
         return ServoMonitorReport(states)
 
 

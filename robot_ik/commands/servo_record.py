@@ -40,7 +40,7 @@ class ServoRecord(MovingBusOptions, OverwriteOption, JsonOption):
     """
 
     file: Annotated[Path, Parameter(name="FILE.csv", required=True), OUTPUT]
-    """File to write: times in s, joint angles in rad."""
+    """File to write: the measured positions, in rad."""
     seconds: Seconds | None = field(default=None, kw_only=True)
     """Duration, in s. Default: until Enter."""
     rate: SampleRate = field(default=50.0, kw_only=True)
@@ -89,11 +89,12 @@ class ServoRecordReport(ServoReport):
 
     def save(self, motion: Trajectory | None, config: ArmConfig) -> None:
         """Write the file, if there are samples."""
-        from robot_ik.workcell.guided_recording import outside
+        from robot_ik.files import write_atomically
+        from robot_ik.workcell.guided_recording import measured_table, outside
 
         self.motion = motion
         if motion is not None:
-            motion.save_csv(self.file)
+            write_atomically(self.file, measured_table(motion))
             self.beyond = outside(motion, config)
 
     @property

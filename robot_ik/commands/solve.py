@@ -96,7 +96,7 @@ class Solve(JsonOption):
         solver = make_solver(name, **solver_options(name, self.set))
         kept = [] if self.free_feet else support_goals(robot, [robot.tool])
         if kept and "priorities" in solver.capabilities:
-            goal = replace(goal, priority=1)  # the feet are served first
+            goal = replace(goal, priority=1)  # the feet have priority 0
         problem = Problem(
             robot,
             [goal, *kept],

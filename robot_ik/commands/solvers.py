@@ -100,7 +100,7 @@ def solver_facts(name: str, kind: type[Solver]) -> dict[str, Any]:
 
     # The other goals constrain a part of a position or of an orientation.
     goals = GOALS if kind.partial_goals else (PositionGoal, OrientationGoal, PoseGoal)
-    served = [goal for goal in goals if issubclass(goal, kind.goals)]
+    supported = [goal for goal in goals if issubclass(goal, kind.goals)]
     options = []
     for item in fields(kind):
         default = None if item.default is MISSING else item.default
@@ -110,8 +110,8 @@ def solver_facts(name: str, kind: type[Solver]) -> dict[str, Any]:
         "name": kind.name or name,
         "title": kind.title,
         "source": kind.source,
-        "goals": [goal.name for goal in served],
-        "every_goal": kind.partial_goals and len(served) == len(GOALS),
+        "goals": [goal.name for goal in supported],
+        "every_goal": kind.partial_goals and len(supported) == len(GOALS),
         "parts": kind.partial_goals,
         "capabilities": sorted(kind.capabilities),
         "options": options,

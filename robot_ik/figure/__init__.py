@@ -1,1 +1,1 @@
-"""The moving figure: it sees a ball, decides, and reaches, bends, jumps or walks."""
+"""A humanoid figure that decides how to reach a ball, and reaches, bends, jumps or walks."""

@@ -1,4 +1,4 @@
-"""What a figure can do: reach, bend and jump, computed from its own model.
+"""Abilities of a figure: reach, bend and jump, computed from its model.
 
 All balls here are given in the frame of the stance: the middle between the feet, x forward.
 Abilities depend on nothing else.
@@ -21,42 +21,43 @@ from robot_ik.figure.reach_map import Maps, load_maps, shoulder_position
 from robot_ik.ports import Array
 
 DECISION_STARTS = 8
-"""Poses from which a ball is tried in a decision."""
+"""Largest number of start poses of the solves for a ball in a decision."""
 
 
 @dataclass(frozen=True)
 class JumpReachOptions:
-    """Numbers of the reach of a jump. Lengths in m.
+    """Parameters of the reach of a jump. Lengths in m.
 
     Attributes:
         lateral: Largest horizontal distance of palm and ball. The body leans a little
             (``docs/theory/figure.md``).
-        least_rise: Least rise of the centre of mass in a jump.
+        min_rise: Smallest rise of the centre of mass in a jump.
         girdle: The shoulder girdle brings an arm this much farther than its length.
-        rim: A palm farther than this from where a ball requires it comes there in no other way.
+        rim: If the palm stays farther than this from the position that a ball requires, no other
+            pose of the arm is tried.
         spare: Length that an arm at the apex keeps for corrections.
     """
 
     lateral: float = 0.05
-    least_rise: float = 0.01
+    min_rise: float = 0.01
     girdle: float = 0.06
     rim: float = 0.2
     spare: float = 0.04
 
 
 JUMP_REACH = JumpReachOptions()
-"""The numbers of all figures."""
+"""The parameters of all figures."""
 
 _UPRIGHT_PATTERNS = ("*hip*", "*knee*", "*ankle*", "torso*", "pelvis*")
 """Joints that hold the trunk upright."""
 
 _ABOVE_REACH = 1.6
-"""Metres above the centre of mass. No palm comes so high, so a goal there stretches the arm."""
+"""Height above the centre of mass, m. No palm reaches it, so a goal there stretches the arm."""
 
 
 @dataclass(frozen=True, eq=False)
 class Abilities:
-    """What a figure can do.
+    """Reachable balls and possible jumps of a figure.
 
     Attributes:
         figure: The figure.
@@ -72,14 +73,14 @@ class Abilities:
         return {arm: shoulder_position(self.figure, arm) for arm in self.figure.hands}
 
     def highest_at(self, arm: str) -> Array:
-        """Return where (2,) a ball may be highest for a jump: above the shoulder at take-off."""
+        """Return where (2,) a jump reaches the highest ball: above the shoulder at take-off."""
         x, y, _ = raised_arm(self.figure, arm)[0]
         return np.array([x + forward_at_take_off(self.figure), y])
 
     def confirmed_pose(
         self, kind: str, ball: Array, arm: str, starts: int = DECISION_STARTS
     ) -> FigurePose | None:
-        """Return an admissible pose at a ball, or None if map or solves find none.
+        """Return an admissible pose at a ball, or None if neither the map nor the solves find one.
 
         Args:
             kind: ``reach`` or ``bend``.
@@ -88,7 +89,7 @@ class Abilities:
             starts: Number of poses of the map from which the solves begin.
         """
         reach_map = self.maps[kind, arm]
-        if reach_map.is_surely_out(ball):
+        if reach_map.is_out_of_reach(ball):
             return None
         nearby = reach_map.nearby(ball, starts)
         pose = best_pose(self.figure, ball, arm, kind, nearby, quick=True)
@@ -104,7 +105,7 @@ class Abilities:
         return highest_take_off(self.figure) + rise + _highest_above_center(self.figure, arm)
 
     def _stretched_palm(self, arm: str, xy: Array) -> Array:
-        """Return the palm (3,) as high as it comes at ``xy`` (2,) above the centre of mass.
+        """Return the highest position (3,) of the palm at ``xy`` (2,), from the centre of mass.
 
         The result of the latest ``xy`` is cached.
         """
@@ -117,8 +118,8 @@ class Abilities:
     def take_off(self, ball: Array, arm: str) -> float | None:
         """Return the speed at take-off that brings the palm to a ball overhead, m/s, or None.
 
-        The trunk is upright. The palm is above the centre of mass as high as it comes, or lower for
-        a ball that hardly needs a jump. A solve confirms it.
+        The trunk is upright. The palm is at its highest position above the centre of mass, or lower
+        for a ball that needs only a small jump. A solve confirms it.
 
         Args:
             ball: (3,) the ball.
@@ -139,23 +140,23 @@ class Abilities:
             is_beside = float(np.linalg.norm(palm[:2] - relative[:2])) <= JUMP_REACH.lateral
             if is_beside and palm[2] >= lowest - 1e-3:
                 rise = float(relative[2] - palm[2] + JUMP_REACH.spare)
-                rise = float(np.clip(rise, JUMP_REACH.least_rise, relative[2] - lowest))
+                rise = float(np.clip(rise, JUMP_REACH.min_rise, relative[2] - lowest))
                 return float(np.sqrt(2 * GRAVITY * rise))
         return None
 
     def _palms(self, arm: str, relative: Array, lowest: float, shoulder: Array) -> Iterator[Array]:
-        """Yield positions (3,) of the palm above the centre of mass that may serve a ball.
+        """Yield positions (3,) of the palm, from the centre of mass, that may reach a ball.
 
         Args:
             arm: Side of the hand.
             relative: (3,) the ball, relative to the centre of mass at take-off.
-            lowest: Least height of the palm above the centre of mass, m.
+            lowest: Smallest height of the palm above the centre of mass, m.
             shoulder: (2,) shoulder, relative to the centre of mass.
         """
         xy = relative[:2]
-        top = float(relative[2]) - JUMP_REACH.least_rise
+        top = float(relative[2]) - JUMP_REACH.min_rise
         palm = self._stretched_palm(arm, xy)
-        # A palm that comes higher than the smallest jump requires is bent.
+        # If the palm comes higher than the smallest jump requires, the arm is bent.
         yield palm_above_center(self.figure, arm, xy, top) if palm[2] >= top else palm
         is_far = np.linalg.norm(palm[:2] - xy) > JUMP_REACH.rim
         if is_far or palm[2] < lowest - JUMP_REACH.rim:
@@ -197,7 +198,7 @@ def palm_above_center(
         figure: The figure.
         arm: Side of the hand.
         xy: (2,) wanted horizontal position, m.
-        z: Wanted height, m. None: as high as it comes.
+        z: Wanted height, m. None: as high as possible.
         lateral_weight: Weight of the horizontal position relative to the height.
     """
     q = _raised_pose(figure, arm, xy, z, lateral_weight)
@@ -227,14 +228,14 @@ def _raised_pose(
 def load_abilities(
     figure: Figure, *, progress: Callable[[int, int], None] | None = None
 ) -> Abilities:
-    """Return the abilities of a figure. The maps of a new model are computed in some minutes.
+    """Return the abilities of a figure. Computing the maps of a new model takes some minutes.
 
     Args:
         figure: The figure.
         progress: Called with the number of finished points and of all points.
     """
     abilities = Abilities(figure, load_maps(figure, progress))
-    # Fill the cache now and not in the frame of the first decision.
+    # Fill the cache here, so that the first decision is not delayed.
     for arm in figure.hands:
         abilities.highest_at(arm)
     return abilities

@@ -1,4 +1,4 @@
-"""Actions that keep the feet where they are: reach, bend and the return to rest.
+"""Actions without steps: reach, bend and the return to rest.
 
 An action is a sequence of frames with an exact end. All actions are computed in the frame of the
 stance (``Figure.stance``) and moved into the world at the end.
@@ -33,16 +33,17 @@ from robot_ik.ports import Array
 
 @dataclass(frozen=True)
 class ActionOptions:
-    """Numbers of reach, bend and rest.
+    """Parameters of reach, bend and rest.
 
     Attributes:
         reach_speed: Peak speed of a hand that reaches, m/s (Flash & Hogan 1985: 0.3 to 0.5 m in
             0.5 to 0.8 s).
         bend_speed: Peak speed of a hand while the figure bends, m/s.
-        least_time: Shortest duration of a motion, s.
+        min_time: Shortest duration of a motion, s.
         glance_speed: Peak angular speed of the gaze, rad/s (heads rotate at 3 to 6 rad/s).
         glance_time: Shortest time of a glance, s.
-        upright: Cosine of the trunk's lean up to which a hand goes straight to a ball: 15 degrees.
+        upright: Cosine of the largest lean of the trunk at which a hand moves straight to a ball:
+            15 degrees.
         inside: A zero-moment point at least this far inside the soles needs no correction, m.
         rounds: Rounds of the correction of the zero-moment point.
         largest_error: Largest error of the zero-moment point that one round corrects, m.
@@ -51,10 +52,11 @@ class ActionOptions:
         slower: Factor of the duration where a motion loses balance or is abrupt.
         elbow_away: Angle of the elbows away from the body in a further try where bodies touch, rad.
         tries: Number of tries.
-        late: Share of the way after which a hand that follows the posture is drawn to its ball.
-        late_weight: Weight of the hand then.
+        late: Share of the duration after which a hand that follows the posture is pulled to its
+            ball.
+        late_weight: Weight of the hand in that part.
         hold: Time for which the hand stays at its ball, s.
-        check_every: Self-contact is checked in every such frame.
+        check_every: Self-contact is checked in every frame of this number.
         reach_joint_speed: Share of the joint speed limits that a motion uses.
         bend_joint_speed: Largest joint speed of a bend, rad/s.
         rest_joint_share: Share of the joint speed limits that the return to rest uses.
@@ -64,7 +66,7 @@ class ActionOptions:
 
     reach_speed: float = 1.6
     bend_speed: float = 0.7
-    least_time: float = 0.45
+    min_time: float = 0.45
     glance_speed: float = 2.5
     glance_time: float = 0.45
     upright: float = 0.966
@@ -88,10 +90,10 @@ class ActionOptions:
 
 
 ACTING = ActionOptions()
-"""The numbers of all actions."""
+"""The parameters of all actions."""
 
-_LEAST_DISTANCE = 0.1
-"""Metres. Smallest distance of a ball from the eyes for the direction of a glance."""
+_MIN_DISTANCE = 0.1
+"""Smallest distance of a ball from the eyes for the direction of a glance, m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,12 +155,12 @@ def _standing_motion(
 def _add_glance(
     figure: Figure, rows: FrameRows, q: Array, ball: Array, t: Array, within: float
 ) -> None:
-    """Add rows to ``rows`` that turn the gaze to a ball. A sudden target would jerk the neck.
+    """Add rows to ``rows`` that turn the gaze to a ball, smoothly so that the neck does not jerk.
 
     Args:
         figure: The figure.
         rows: Receives the rows.
-        q: (nq,) where the motion begins.
+        q: (nq,) first pose of the motion.
         ball: (3,) the ball.
         t: (n,) times of the frames, s.
         within: Shortest time of the glance, s.
@@ -166,13 +168,13 @@ def _add_glance(
     if figure.gaze is None:
         return
     eyes, rotation = figure.pose(q, figure.gaze)
-    distance = max(float(np.linalg.norm(ball - eyes)), _LEAST_DISTANCE)
+    distance = max(float(np.linalg.norm(ball - eyes)), _MIN_DISTANCE)
     forward = rotation[:, 0]
     to_ball = (ball - eyes) / distance
     angle = float(np.arccos(np.clip(forward @ to_ball, -1.0, 1.0)))
     s = minimum_jerk(t / max(within, glance_time(figure, q, ball)))[:, None]
 
-    # The target moves along an arc. The straight way between two opposite directions would pass
+    # The target moves along an arc. The straight line between two opposite directions would pass
     # through the head.
     if angle > 1e-3:
         arc = np.sin((1 - s) * angle) * forward + np.sin(s * angle) * to_ball
@@ -183,22 +185,22 @@ def _add_glance(
 
 
 def glance_time(figure: Figure, q: Array, ball: Array | None) -> float:
-    """Return the time that the gaze needs to a ball, s. A shorter motion would stop the neck."""
+    """Return the time that the gaze needs to reach a ball, s."""
     if figure.gaze is None or ball is None:
         return 0.0
     eyes, rotation = figure.pose(q, figure.gaze)
-    to_ball = (ball - eyes) / max(float(np.linalg.norm(ball - eyes)), _LEAST_DISTANCE)
+    to_ball = (ball - eyes) / max(float(np.linalg.norm(ball - eyes)), _MIN_DISTANCE)
     angle = float(np.arccos(np.clip(rotation[:, 0] @ to_ball, -1.0, 1.0)))
     return QUINTIC_PEAK_VELOCITY * angle / ACTING.glance_speed
 
 
 def return_to_rest(figure: Figure, q: Array, *, gaze_target: Array | None = None) -> Motion:
-    """Return the motion back to standing at ease, the feet where they are.
+    """Return the motion to the home pose. The feet do not move.
 
     Args:
         figure: The figure.
-        q: (nq,) where it begins.
-        gaze_target: (3,) where the figure looks, in the world. None: anywhere.
+        q: (nq,) first pose.
+        gaze_target: (3,) point at which the figure looks, in the world. None: no such point.
     """
     start, stance = to_stance_frame(figure, q)
     difference = figure.robot.difference(start, figure.home)[6:]
@@ -207,7 +209,7 @@ def return_to_rest(figure: Figure, q: Array, *, gaze_target: Array | None = None
     )
     target = None if gaze_target is None else in_stance_frame(stance, gaze_target)
     duration = max(
-        ACTING.least_time,
+        ACTING.min_time,
         QUINTIC_PEAK_VELOCITY * float((np.abs(difference) / limits).max()),
         glance_time(figure, start, target),
     )
@@ -240,10 +242,10 @@ def reach_ball(
 
     Args:
         figure: The figure.
-        q: (nq,) where it begins.
+        q: (nq,) first pose.
         ball: (3,) the ball in the world.
         arm: Side of the hand.
-        kind: ``reach`` stands upright, the hand on a nearly straight way. ``bend`` leans.
+        kind: ``reach`` stands upright, with the hand on a nearly straight path. ``bend`` leans.
         end: (nq,) pose at the ball, in the frame of the stance. Default: the pose is searched.
     """
     start, stance = to_stance_frame(figure, q)
@@ -252,14 +254,14 @@ def reach_ball(
     goal = find_pose(figure, ball, arm, kind).q if end is None else end
     trunk_up = figure.pose(goal, figure.trunk)[1][2, 2]
 
-    # A straight way of the hand while the trunk leans would straighten elbow and knees.
+    # A straight path of the hand while the trunk leans would straighten elbow and knees.
     is_upright = kind == REACH and trunk_up > ACTING.upright
     difference = figure.robot.difference(start, goal)[6:]
     largest_speed = np.inf if is_upright else ACTING.bend_joint_speed
     limits = np.minimum(ACTING.reach_joint_speed * figure.speeds["daily"][6:], largest_speed)
     hand_speed = ACTING.reach_speed if is_upright else ACTING.bend_speed
     duration = max(
-        ACTING.least_time,
+        ACTING.min_time,
         QUINTIC_PEAK_VELOCITY * float(np.linalg.norm(ball - hand)) / hand_speed,
         QUINTIC_PEAK_VELOCITY * float((np.abs(difference) / limits).max()),
         glance_time(figure, start, ball),
@@ -305,12 +307,12 @@ def walk_motion(walk: Walk) -> Motion:
 
 @dataclass(frozen=True, eq=False)
 class _Transfer:
-    """A motion from a pose to another, the feet where they are.
+    """A motion from one pose to another without steps.
 
     Attributes:
         figure: The figure.
         start: (nq,) first pose, in the frame of the stance.
-        goal: (nq,) pose to which posture, centre of mass and trunk are led.
+        goal: (nq,) last pose of posture, centre of mass and trunk.
         hold: Time for which the goal is held, s.
         stiffness: (nv,) weights of the posture.
         trunk_weight: Weight of the rotation of the trunk.
@@ -360,11 +362,11 @@ class _Transfer:
         """Return frames whose zero-moment point follows the planned centre of mass.
 
         Args:
-            duration: Duration of the way, s.
-            abduction: Angle of the elbows away from the body in the middle of the way, rad.
+            duration: Duration of the transfer, s.
+            abduction: Angle of the elbows away from the body in the middle of the transfer, rad.
 
         Returns:
-            The frames, the least distance of the zero-moment point from the border of the soles,
+            The frames, the smallest distance of the zero-moment point from the border of the soles,
             m, and whether the motion keeps balance and is not abrupt.
         """
         figure = self.figure

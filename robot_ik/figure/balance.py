@@ -16,8 +16,8 @@ import numpy as np
 from robot_ik.figure.figure import DT, Figure
 from robot_ik.ports import Array
 
-_LEAST_FORCE = 1.0
-"""N. A smaller vertical force gives no zero-moment point."""
+_MIN_FORCE = 1.0
+"""Smallest vertical force with a zero-moment point, N."""
 
 
 def plan_center(
@@ -26,8 +26,8 @@ def plan_center(
     """Return the centre of mass (n, 2) and the zero-moment point (n, 2) at times ``t``.
 
     The zero-moment point moves straight from node to node and then rests. In the first piece it is
-    constant, at the place from which a body at rest at ``x`` meets the second piece. This is the
-    shift backwards and to the swinging foot before the first step.
+    constant, at the point from which a body at rest at ``x`` continues into the second piece. This
+    is the shift backwards and to the swinging foot before the first step.
 
     Args:
         nodes: (time, (2,) zero-moment point). Of the first node only the time is used.
@@ -98,8 +98,8 @@ def derivatives(figure: Figure, q: Array) -> tuple[Array, Array, Array]:
 def zero_moment_points(figure: Figure, q: Array) -> tuple[Array, Array]:
     """Return the zero-moment point on z = 0 and the vertical force of the floor.
 
-    The free base has no motor, so the wrench that inverse dynamics finds there is that of the
-    floor. The first and the last frame have no acceleration and count as frames at rest.
+    The free base has no motor, so the wrench of inverse dynamics at the base is that of the floor.
+    The first and the last frame have no acceleration and count as frames at rest.
 
     Args:
         figure: The figure.
@@ -121,7 +121,7 @@ def zero_moment_points(figure: Figure, q: Array) -> tuple[Array, Array]:
         push = data.qfrc_inverse[:3]
         moment = data.xmat[1].reshape(3, 3) @ data.qfrc_inverse[3:6]
         force[i] = push[2]
-        vertical = push[2] if abs(push[2]) > _LEAST_FORCE else 1.0
+        vertical = push[2] if abs(push[2]) > _MIN_FORCE else 1.0
         points[i] = (
             row[0] - (moment[1] + row[2] * push[0]) / vertical,
             row[1] - (row[2] * push[1] - moment[0]) / vertical,

@@ -2,8 +2,8 @@
 
 The order is fixed. A ball that a hand reaches standing is reached. Otherwise the figure bends for a
 ball that a hand reaches bending, and jumps for a ball that a jump reaches. Otherwise it walks to a
-stance from which one of these serves, or it does nothing. Of two arms the one with the nearer
-shoulder acts; within 20 mm it is the arm that acted last, or the right one.
+stance from which one of these actions reaches the ball, or it does nothing. Of two arms the one
+with the nearer shoulder acts; within 20 mm it is the arm that acted last, or the right one.
 
 Pađen (2011) decides by fixed regions. Here the regions are those of the model (``abilities``), and
 every "reach", "bend" and "jump" is confirmed before it is reported.
@@ -35,7 +35,7 @@ ACTIONS = (*_WITHOUT_STEPS, "walk", "nothing")
 
 @dataclass(frozen=True)
 class DecisionOptions:
-    """Numbers of the decision. Lengths in m.
+    """Parameters of the decision. Lengths in m.
 
     Attributes:
         hysteresis: A figure that reaches, bends or jumps continues until the ball is this far
@@ -43,14 +43,14 @@ class DecisionOptions:
         workspace: Largest distance of a ball.
         same_arm: Difference of the distances to the shoulders up to which the last arm acts.
         heading_step_deg: Step of the headings of stances, degrees.
-        per_radian: Cost of a rotation by one radian, in metres of way.
+        per_radian: Cost of a rotation by one radian, in metres of path.
         comfort: Weight of the distance of the ball from the comfortable position.
         comfort_forward: Comfortable position of the ball in front of the chest.
         comfort_lateral: Comfortable position of the ball to the side of the arm.
         stances: Number of stances that are examined.
         solves: Number of different balls, in the frames of these stances, that are solved.
-        starts: Poses from which each of them is solved.
-        at_feet: A ball nearer than this is at the feet: the best stances are occupied by them.
+        starts: Number of poses from which each of them is solved.
+        at_feet: A ball nearer than this is at the feet, which occupy the best stances.
         at_feet_factor: Factor of stances and solves for such a ball.
     """
 
@@ -70,7 +70,7 @@ class DecisionOptions:
 
 
 DECIDING = DecisionOptions()
-"""The numbers of all decisions."""
+"""The parameters of all decisions."""
 
 _HEADINGS = np.radians(np.arange(-180.0, 180.0, DECIDING.heading_step_deg))
 """Headings of stances relative to that of the figure, rad."""
@@ -80,15 +80,15 @@ _VERTICAL = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
 
 @dataclass(frozen=True)
 class Decision:
-    """What a figure does, and why.
+    """Action of a figure, and its reason.
 
     Attributes:
         action: ``reach``, ``bend``, ``jump``, ``walk`` or ``nothing``.
         arm: Side of the hand that acts, after the walk if there is one. None: no hand acts.
         reason: A sentence for the user.
         stance: (x, y, heading) to which it walks. None: it does not walk.
-        then: What it will do there.
-        speed: Least speed at the take-off of a jump, m/s.
+        then: Action at that stance.
+        speed: Smallest speed at the take-off of a jump, m/s.
     """
 
     action: str
@@ -103,7 +103,7 @@ class Decider:
     """Decides for one figure.
 
     Args:
-        abilities: What the figure can do.
+        abilities: Abilities of the figure.
     """
 
     def __init__(self, abilities: Abilities) -> None:
@@ -125,7 +125,7 @@ class Decider:
         Args:
             ball: (3,) in the world, m. None or NaN: no ball is seen.
             stance: (x, y, heading) of the middle between the feet.
-            last: The decision before. It matters for the choice of the arm and the hysteresis.
+            last: Previous decision, for the choice of the arm and the hysteresis.
 
         Raises:
             InvalidGoalError: The ball is not three numbers.
@@ -223,20 +223,20 @@ class Decider:
         return replace(decision, reason=reason)
 
     def _walk(self, ball: Array, stance: Array) -> Decision:
-        """Return a walk to the cheapest stance that serves a ball (3,), or nothing."""
+        """Return a walk to the cheapest stance from which a ball (3,) is in reach, or nothing."""
         distance = float(np.linalg.norm(ball[:2] - stance[:2]))
         factor = DECIDING.at_feet_factor if distance < DECIDING.at_feet else 1
         verbs = {REACH: "reached", BEND: "reached bending", "jump": "reached jumping"}
         for kind, verb in verbs.items():
             # At many stances the ball has the same position in the frame of the stance.
-            serves: dict[tuple[str, bytes], bool] = {}
+            is_in_reach: dict[tuple[str, bytes], bool] = {}
             stances = self._stances(kind, ball, stance, factor)
             for goal, arm, local in stances[: factor * DECIDING.stances]:
                 key = (arm, local.tobytes())
-                if key not in serves and len(serves) < factor * DECIDING.solves:
+                if key not in is_in_reach and len(is_in_reach) < factor * DECIDING.solves:
                     confirmed = self._confirmed(kind, local, arm, DECIDING.starts)
-                    serves[key] = confirmed is not None
-                if not serves.get(key):
+                    is_in_reach[key] = confirmed is not None
+                if not is_in_reach.get(key):
                     continue
                 is_nearer = float(np.linalg.norm(ball[:2] - goal[:2])) < distance
                 where = "nearer" if is_nearer else "farther off"
@@ -247,13 +247,13 @@ class Decider:
         if ball[2] > max(map(self.abilities.highest_palm, self.figure.hands)):
             reason = f"a ball at a height of {ball[2]:.2f} m is out of reach, jumping too"
         else:
-            reason = "no stand point was found from which a hand reaches the ball"
+            reason = "no stance was found from which a hand reaches the ball"
         return Decision("nothing", None, reason)
 
     def _stances(
         self, kind: str, ball: Array, stance: Array, factor: int
     ) -> list[tuple[Array, str, Array]]:
-        """Return stances from which an action may serve a ball, the cheapest first.
+        """Return stances from which an action may reach a ball, the cheapest first.
 
         Args:
             kind: ``reach``, ``bend`` or ``jump``.
@@ -319,7 +319,7 @@ def _as_point(ball: ArrayLike | None) -> Array:
 
 
 def inside_body(figure: Figure, local: Array) -> str:
-    """Return the body part, arms excepted, that contains a point. Empty if none does.
+    """Return the body part that contains a point, without arms. Empty if there is none.
 
     Args:
         figure: The figure.

@@ -1,6 +1,6 @@
 """``Figure``: a model with two feet that can stand, walk, reach and jump.
 
-All of it is read from the model and from the table ``[figure]`` of its ``robot.toml``. Every model
+The figure is read from the model and from the table ``[figure]`` of its ``robot.toml``. Every model
 whose table names two feet can walk. Angles are in rad and lengths in m. World axes have z up, and
 the floor is z = 0.
 """
@@ -41,7 +41,7 @@ DT = 1.0 / RATE
 """Time between two frames, s."""
 
 _SAME_POINT = 1e-3
-"""Metres. Joints whose anchors are nearer than this rotate about one point."""
+"""Joints whose anchors are nearer than this rotate about one point, m."""
 
 _Value = TypeVar("_Value")
 _Arguments = ParamSpec("_Arguments")
@@ -50,7 +50,7 @@ _Arguments = ParamSpec("_Arguments")
 def cached_per_figure(
     compute: Callable[Concatenate[Figure, _Arguments], _Value],
 ) -> Callable[Concatenate[Figure, _Arguments], _Value]:
-    """Cache the results of a function of a figure, names and numbers in the figure."""
+    """Cache the results of a function in the figure. Its arguments are the figure and hashables."""
 
     @functools.wraps(compute)
     def cached(figure: Figure, /, *args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Value:
@@ -97,18 +97,18 @@ class Foot:
 class Figure:
     """A model with the frames of a figure. ``load_figure`` makes it.
 
-    The description never changes. ``data`` and ``cache`` are memory of calculations, so one thread
-    uses a figure at a time. ``duplicate`` returns one for another thread.
+    The description never changes. ``data`` and ``cache`` are memory of calculations, so only one
+    thread may use a figure. ``duplicate`` returns a copy for another thread.
 
     Attributes:
         robot: The robot. All its joints are active.
         hands: Frame of each hand by side. Empty for a figure without arms.
         feet: Feet by side, left and right.
-        gaze: Frame whose x axis looks, or None.
-        neck: Joints that may serve the gaze.
+        gaze: Frame whose x axis is the direction of the gaze, or None.
+        neck: Joints that may turn the gaze.
         pelvis: Frame of the pelvis.
         trunk: Frame of the trunk.
-        home: (nq,) standing at ease.
+        home: (nq,) relaxed standing pose.
         bent: (nq,) deeply bent.
         speeds: (nv,) joint speed limits, rad/s, by name of the set.
         half_width: Half the distance of the feet at home, m.
@@ -247,7 +247,7 @@ def load_figure(name: str | os.PathLike[str] | Robot = "humanoid") -> Figure:
     """Return a figure by the catalogue name or the path of its model, or of a robot.
 
     Raises:
-        ModelError: The model names no two feet, has no floating base, or has ball joints.
+        ModelError: The model does not have two feet, has no floating base, or has ball joints.
         UnknownRobotError: No robot has that name.
         UnknownFrameError: A frame of the table does not exist.
         UnknownJointError: A joint of the table does not exist.
@@ -256,7 +256,7 @@ def load_figure(name: str | os.PathLike[str] | Robot = "humanoid") -> Figure:
     parts = figure_parts(robot)
     if parts is None or set(parts.feet) != set(SIDES):
         raise ModelError(
-            f"{robot.name!r} is no figure: its robot.toml names no left and right foot",
+            f"{robot.name!r} is not a figure: its robot.toml has no left and right foot",
             path=robot.path,
             hint='add [figure] with feet = { left = "…", right = "…" }, pelvis and trunk',
         )
@@ -298,7 +298,7 @@ def _stiffnesses(figure: Figure, rows: tuple[tuple[str, float], ...]) -> Array:
 
 
 def _values_by_pattern(robot: Robot, rows: Mapping[str, float], base_value: float) -> Array:
-    """Return values (nv,) of joints by patterns of their names; a later pattern wins."""
+    """Return values (nv,) of joints by patterns of their names. A later pattern overrides."""
     values = np.full(robot.nv, base_value)
     for node, name in enumerate(robot.joints):
         if robot.tree.kind[node] == FREE:

@@ -1,4 +1,4 @@
-"""Footprints: where the feet stand, and plans of steps along a curve or on the spot."""
+"""Footprints: poses of the feet on the floor, and plans of steps along a curve or on the spot."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _ROUNDING = 1e-6
 """Steps. A count that exceeds a whole number by less is that number."""
 
 _SIDEWAYS = 0.03
-"""Metres. Above it the side of the motion decides which foot goes first, below it the turn."""
+"""Smallest motion to the side, m, whose side determines the first foot. Else the turn does."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def walk_prints(
         figure: The figure.
         start: Footprints at the start, left and right.
         goal: (3,) x, y and heading at the end.
-        gait: How it walks.
+        gait: Parameters of the gait.
 
     Returns:
         The two footprints of the start, then one for each step.

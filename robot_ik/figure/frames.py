@@ -17,7 +17,7 @@ from robot_ik.kernels.whole_body import HARD
 from robot_ik.ports import Array
 
 _MAX_STEPS = 8
-"""Usual limit of steps per frame."""
+"""Default of the largest number of steps per frame."""
 
 _REST_STEP = 1e-3
 """A step shorter than this (rad, m) is the last of a frame whose hard rows are met."""
@@ -213,7 +213,7 @@ class FrameRows:
 
 @dataclass(eq=False)
 class PreparedRows:
-    """Rows with the memory of their solves. All of it may be changed between solves, in place.
+    """Rows with the memory of their solves. The arrays may be changed between solves, in place.
 
     Attributes:
         body: Memory of ``WHOLE_BODY``. After a solve it holds the state of the last step.

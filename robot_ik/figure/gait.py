@@ -1,11 +1,11 @@
-"""Gaits: the numbers of a walk, and the states of a foot's contact with the floor."""
+"""Gaits: the parameters of a walk, and the states of a foot's contact with the floor."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 AIR, HEEL, FLAT, TOE = range(4)
-"""What a foot does: in the air, on its heel, flat on the floor, or on its toes."""
+"""Contact of a foot: in the air, on its heel, flat on the floor, or on its toes."""
 
 CONTACTS = ("air", "heel", "flat", "toe")
 """Names of these states."""
@@ -13,7 +13,7 @@ CONTACTS = ("air", "heel", "flat", "toe")
 
 @dataclass(frozen=True)
 class Gait:
-    """How a figure walks. Lengths in m, times in s, angles in degrees.
+    """Parameters of a gait. Lengths in m, times in s, angles in degrees.
 
     A cycle is two steps. A share of the swing is counted from toe off to heel strike.
 
@@ -30,22 +30,23 @@ class Gait:
             flat.
         rise: Share of the cycle at which the heel leaves the floor.
         level_share: Share of the swing at which the sole is nearly level.
-        level_pitch: Pitch of the sole then, as a share of the pitch at toe off.
+        level_pitch: Pitch of the nearly level sole, as a share of the pitch at toe off.
         lift: Clearance of the lowest point in mid swing.
         lift_power: Power by which the clearance grows.
         fall_power: Power by which it shrinks. A smaller power keeps the clearance longer.
         level_time: Time in which the toes straighten after they left the floor.
-        gap: Least distance of the swinging foot from the line of the standing foot.
-        knee_deg: Least bend of the knees.
+        gap: Smallest distance of the swinging foot from the line of the standing foot.
+        knee_deg: Smallest bend of the knees.
         toe_out_deg: Rotation of the toes outwards.
-        pressure_start: Zero-moment point at the begin of single support, in front of the ankle.
+        pressure_start: Zero-moment point at the start of single support, in front of the ankle.
         pressure_end: Zero-moment point at its end, in front of the ankle.
         dip: Time after a strike at which the pelvis is lowest.
         bob: Range of the pelvis up and down.
-        broad: How much longer the pelvis is up than down; 0 is a cosine.
+        broad: Excess of the time in which the pelvis is up over that in which it is down; 0 is a
+            cosine.
         late: Delay of the swinging foot against a cosine. A foot that waits before its strike
             holds the hips down.
-        depart: How softly the foot leaves the floor: 2.47 without acceleration, 0 as a cosine.
+        depart: Softness of the start of the swing: 2.47 has no acceleration, 0 is a cosine.
         arrive: Speed of the foot at its strike, as a share of its mean speed in the air. Heels
             strike while they still move.
         turn_deg: Rotation of the pelvis about the vertical, towards the leg in front.
@@ -124,7 +125,7 @@ SHUFFLE = replace(
 
 @dataclass(frozen=True)
 class WalkOptions:
-    """Numbers that all walks share.
+    """Parameters that all walks share.
 
     Attributes:
         stance: Share of the cycle in which a foot stands (Schwartz et al. 2008: 60 to 61 %).
@@ -134,20 +135,20 @@ class WalkOptions:
         last_pressure: Zero-moment point at the end of the last single support, in front of the
             ankle, m.
         stop_time: Time from the last strike until the zero-moment point is in the middle, s.
-        leaving_deg: Least bend of a knee whose foot leaves the floor, degrees. A straight knee
+        leaving_deg: Smallest bend of a knee whose foot leaves the floor, degrees. A straight knee
             would have to bend at once.
         leaving_time: Time before and after toe off in which the knee has that bend, s.
-        least_off: Pitch of the sole at toe off for a step of no length, as a share of that for a
+        min_off: Pitch of the sole at toe off for a step of no length, as a share of that for a
             whole step.
         first_off: Largest pitch at toe off of a foot that stood at the start, as a share.
         last_strike: Largest pitch at the last strike of a foot, as a share.
         toe_turn: Share of the swing after toe off at which the pitch is largest.
         soften: Time over which heights of a foot in the air are smoothed, s.
-        soften_in: Share of the swing at its begin in which the smoothing grows.
+        soften_in: Share of the swing at its start in which the smoothing grows.
         soften_out: Share of the swing at its end in which it fades.
         corrections: Rounds in which the dynamics of the whole body correct the centre of mass.
-        learning_knee_deg: Bend of the knees in the first pass, degrees. It finds where the pelvis
-            is beside the centre of mass.
+        learning_knee_deg: Bend of the knees in the first pass, degrees. The pass determines the
+            position of the pelvis relative to the centre of mass.
         learning_extra_deg: Additional bend of the knees in the second pass, degrees.
         pelvis_behind: Distance of the pelvis behind the centre of mass in the first pass, m.
         largest_error: Largest error of the zero-moment point that one round corrects, m.
@@ -166,7 +167,7 @@ class WalkOptions:
     stop_time: float = 0.35
     leaving_deg: float = 27.0
     leaving_time: float = 0.08
-    least_off: float = 0.45
+    min_off: float = 0.45
     first_off: float = 0.75
     last_strike: float = 0.3
     toe_turn: float = 0.14
@@ -186,4 +187,4 @@ class WalkOptions:
 
 
 WALKING = WalkOptions()
-"""The numbers of all walks."""
+"""The parameters of all walks."""

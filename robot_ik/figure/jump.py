@@ -35,16 +35,16 @@ from robot_ik.ports import Array
 
 @dataclass(frozen=True)
 class JumpOptions:
-    """Numbers of a jump. Lengths in m, times in s.
+    """Parameters of a jump. Lengths in m, times in s.
 
     Attributes:
         fastest: Largest speed of the centre of mass at take-off, m/s. Trained men without run-up
             reach 2.4 to 2.9 (Bobbert et al. 1996).
-        slowest: Least speed at take-off, m/s. A shorter flight leaves the arm too little time; a
-            lower ball is met with a bent arm.
+        slowest: Smallest speed at take-off, m/s. A shorter flight is too short for the arm. A lower
+            ball is reached with a bent arm.
         crouch: Depth of the crouch below the waiting height.
         ready_depth: Depth of the waiting height below home. Straight knees cannot hold a height.
-        leg_reserve: What the legs could still stretch at take-off.
+        leg_reserve: Length by which the legs could still stretch at take-off.
         ankle_distance: Position of the weight at rest, in front of the ankles. The hips are
             behind, so that the heels stay on the floor in the crouch.
         sole_deg: Pitch of the sole at take-off, degrees.
@@ -58,12 +58,12 @@ class JumpOptions:
         rise_time: Longest duration of the rise after landing.
         stand_time: Time at rest after the rise.
         heel_rise: Share of the push before take-off in which the heels rise.
-        tuck: How far the feet are drawn up in flight. Feet drawn up leave the acting arm less high
-            above the centre of mass.
+        tuck: Height by which the feet are drawn up in flight. Feet drawn up lower the acting arm
+            relative to the centre of mass.
         foot_hold_after: Time after take-off in which the feet are held.
         foot_hold_before: Time before landing in which the feet are held.
         swing_early: Time before the push at which the arms begin to swing forwards.
-        swing_left: Angle that the arms still have to go at take-off, rad.
+        swing_left: Remaining angle of the swing of the arms at take-off, rad.
         hand_decades: Powers of ten by which the weight of the hand grows until the apex.
         foot_decades: Powers of ten by which the weight of the feet falls until the apex. A body
             that reaches a ball at the rim leans.
@@ -74,13 +74,13 @@ class JumpOptions:
         feedback: Share of the error that later rounds correct.
         error_time: Time over which errors of the zero-moment point are smoothed.
         loaded: Share of the weight above which a zero-moment point counts.
-        tie_smooth: Rounds after the first are drawn in flight to the frames of the round before,
-            smoothed over this time. Without it legs and spine whip about the apex.
+        tie_smooth: Rounds after the first are pulled in flight to the frames of the previous round,
+            smoothed over this time. Without it legs and spine move abruptly near the apex.
         tie_stiffness: Stiffness of that pull.
         tie_begin: Time before take-off in which the pull grows.
         tie_end: Time before landing in which the pull fades.
-        ways: (abduction of the other arm in rad, additional speed in m/s). The next of them is
-            tried where bodies touch: the acting arm then need not stretch over the head.
+        variants: (abduction of the other arm in rad, additional speed in m/s). The next variant is
+            tried if bodies touch: the acting arm then need not stretch over the head.
         gaze_weight: Weight of the gaze.
     """
 
@@ -118,12 +118,12 @@ class JumpOptions:
     tie_stiffness: float = 2.0
     tie_begin: float = 0.15
     tie_end: float = 0.1
-    ways: tuple[tuple[float, float], ...] = ((0.0, 0.0), (0.35, 0.0), (0.35, 0.5), (0.35, 0.9))
+    variants: tuple[tuple[float, float], ...] = ((0.0, 0.0), (0.35, 0.0), (0.35, 0.5), (0.35, 0.9))
     gaze_weight: float = 6.0
 
 
 JUMPING = JumpOptions()
-"""The numbers of all jumps."""
+"""The parameters of all jumps."""
 
 _MAX_STEPS = 20
 """Largest number of solver steps per frame."""
@@ -233,9 +233,9 @@ def highest_take_off(figure: Figure) -> float:
 
 @cached_per_figure
 def forward_at_take_off(figure: Figure) -> float:
-    """Return how far in front of the middle of the feet the centre of mass takes off, m.
+    """Return the distance of the centre of mass at take-off in front of the feet's middle, m.
 
-    The jump is one of medium height.
+    It is computed for a jump of medium height.
     """
     plan = plan_jump(figure, np.array([0.1, 0.0, 0.0]), next(iter(figure.hands)), 2.0)
     return float(_forward_motion(plan, np.array([plan.apex]))[0][0])
@@ -268,11 +268,11 @@ def plan_jump(
     home_height = float(figure.center(figure.home)[2])
     high = highest_take_off(figure) + wait - home_height + JUMPING.ready_depth
     crouch = JUMPING.crouch * float(np.clip(speed / 2.0, 0.5, 1.0))
-    way = high - wait + crouch
-    landed = high - JUMPING.landing_depth * way
-    push = 1.84 * way / speed
+    travel = high - wait + crouch
+    landed = high - JUMPING.landing_depth * travel
+    push = 1.84 * travel / speed
     flight = 2 * speed / GRAVITY
-    landing = 1.76 * way / speed
+    landing = 1.76 * travel / speed
     brake = 1.35 * speed**2 / (2 * (high - landed))
     # A longer rise overshoots: the acceleration may be at most 20 times the way / T².
     rise = min(JUMPING.rise_time, float(np.sqrt(17 * (wait - landed) / brake)))
@@ -508,8 +508,8 @@ def _solve(
         palm: (3,) position of the palm beside the centre of mass at the apex.
         top: (nq,) pose of the acting arm at the apex.
         t: (n,) times, s.
-        start: (nq,) where the jump begins.
-        before: (n, nq) frames of the round before.
+        start: (nq,) first pose.
+        before: (n, nq) frames of the previous round.
     """
     figure = plan.figure
     count = len(t)
@@ -517,8 +517,8 @@ def _solve(
     in_air = contact == AIR
     rows = FrameRows(figure, count)
 
-    # In the middle of the flight the feet yield to the centre of mass and the momentum. At take-off
-    # and landing they are where the floor requires them.
+    # In the middle of the flight the feet have less weight than the centre of mass and the
+    # momentum. At take-off and landing the floor determines their poses.
     release = plan.take_off + JUMPING.foot_hold_after
     catch = plan.landing - JUMPING.foot_hold_before
     is_released = (t > release) & (t < catch)
@@ -533,15 +533,15 @@ def _solve(
         poses[side] = (position, axis_rotations("y", pitch))
     rows.feet(poses, np.where(is_released, released_weight, HARD))
 
-    # The centre of mass begins where the figure stands.
+    # The centre of mass begins at that of the first pose.
     z = plan.height(t)
     center = np.column_stack([x, np.zeros(count), z])
     begin = minimum_jerk(t / plan.ends[0])[:, None]
     start_center = figure.center(start)
     rows.center(start_center + (center - start_center) * begin)
 
-    # Before and after the flight the momentum row comes and goes gradually. A sudden row would jerk
-    # the trunk.
+    # Before and after the flight the weight of the momentum row changes gradually. A sudden change
+    # would cause a jerk of the trunk.
     rows.momentum(np.where(in_air, HARD, 0.0))
     half_push = (plan.take_off - plan.push_start) / 2
     push_middle = (plan.push_start + plan.take_off) / 2
@@ -564,8 +564,8 @@ def _solve(
         target = first_target + (plan.ball - first_target) * minimum_jerk(t / within)[:, None]
         rows.aim(target, JUMPING.gaze_weight)
 
-    # The weight of the hand grows by a constant factor per frame. A power of time would seize the
-    # arm within two frames.
+    # The weight of the hand grows by a constant factor per frame. A power of time would pull the
+    # arm to the ball within two frames.
     reach_time = plan.apex - 0.01 - plan.take_off + 0.05
     nearness = minimum_jerk((t - plan.take_off + 0.05) / reach_time)
     leave_time = plan.landing - plan.apex
@@ -649,7 +649,7 @@ def _posture(
 
 
 def jump(figure: Figure, q: Array, ball: Array, arm: str = "right", speed: float = 2.0) -> Motion:
-    """Return a jump with the palm at a ball overhead at the apex. It ends where it began.
+    """Return a jump on the spot with the palm at a ball overhead at the apex.
 
     Args:
         figure: The figure.
@@ -665,23 +665,23 @@ def jump(figure: Figure, q: Array, ball: Array, arm: str = "right", speed: float
     start, stance = to_stance_frame(figure, q)
     ball = in_stance_frame(stance, np.asarray(ball, dtype=float))
     first: Motion | None = None
-    for way_speed, abduction in _ways(speed):
-        motion = _jump_at_origin(plan_jump(figure, ball, arm, way_speed, abduction), start)
+    for variant_speed, abduction in _variants(speed):
+        motion = _jump_at_origin(plan_jump(figure, ball, arm, variant_speed, abduction), start)
         if not touches_itself(figure, motion.q):
             return placed_motion(figure, motion, stance)
         first = first or motion
     if first is None:
-        raise RuntimeError("no way to jump was tried")
+        raise RuntimeError("no variant of the jump was tried")
     return placed_motion(figure, first, stance)
 
 
-def _ways(speed: float) -> list[tuple[float, float]]:
+def _variants(speed: float) -> list[tuple[float, float]]:
     """Return (speed, abduction) of the tries. Near the fastest take-off some are equal."""
-    ways = [
+    variants = [
         (max(speed, min(speed + additional, JUMPING.fastest)), abduction)
-        for abduction, additional in JUMPING.ways
+        for abduction, additional in JUMPING.variants
     ]
-    return list(dict.fromkeys(ways))
+    return list(dict.fromkeys(variants))
 
 
 def _jump_at_origin(plan: JumpPlan, start: Array) -> Motion:

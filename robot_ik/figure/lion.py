@@ -1,10 +1,10 @@
 """The lion: a paw reaches a ball while the other three stand, and the lion looks at the ball.
 
-It follows the lion of Šimunić's thesis. First come key poses: relaxed, leaning onto three paws with
-the eyes on the ball, and reaching. ``Keyframes`` leads through them. Inverse kinematics then solves
-each frame again, with the standing paws and the centre of mass as hard goals and the frame as
-posture. Every model serves whose ``robot.toml`` names four tools that end in ``_paw`` and one tool
-``gaze``.
+The motion is that of the lion of Šimunić's thesis. First key poses are solved: relaxed, leaning
+onto three paws with the eyes on the ball, and reaching. ``Keyframes`` interpolates between them.
+Inverse kinematics then solves each frame again, with the standing paws and the centre of mass as
+hard goals and the frame as posture. Every model can be used whose ``robot.toml`` names four tools
+that end in ``_paw`` and one tool ``gaze``.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
 
 MARGIN = 0.03
-"""Least distance of the centre of mass from the border of the standing paws' triangle, m."""
+"""Smallest distance of the centre of mass from the border of the standing paws' triangle, m."""
 
 NEAR = 2e-3
 """Largest distance of a paw's sole from the middle of the ball, m."""
@@ -50,13 +50,13 @@ HOLD = 0.4
 """Time at the ball, s."""
 
 _SPEED = 4.0
-"""Joint speed limit, rad/s: quick for a lion, slow for the joints of the model."""
+"""Joint speed limit, rad/s. It is below the limits of the model."""
 
 _GAZE_LIMIT_DEG = 100.0
 """Largest angle between straight forward and the gaze, degrees."""
 
 _STRAIGHT = 1e-9
-"""Metres. A ball less far to the side is straight ahead."""
+"""A ball at a smaller distance to the side is straight ahead, m."""
 
 _POSE_BUDGET = Budget(iterations=1200, restarts=6)
 """Budget of a key pose. A paw whose pose is not found counts as out of reach."""
@@ -113,7 +113,7 @@ class Lion:
             return Decision("nothing", None, "there is no ball: its position is not finite")
         if position[2] < 0.0:
             depth_mm = -1e3 * position[2]
-            return Decision("nothing", None, f"the ball lies {depth_mm:.0f} mm under the floor")
+            return Decision("nothing", None, f"the ball is {depth_mm:.0f} mm under the floor")
         distances = {
             paw: float(np.linalg.norm(self._prints[paw].position - position)) for paw in self.paws
         }
@@ -161,7 +161,7 @@ class Lion:
         return self._on_standing_paws(plan, paw, rate)
 
     def support(self, lifted: str | None) -> Array:
-        """Return where the standing paws stand: (3, 2), or (4, 2) if ``lifted`` is None."""
+        """Return positions of the standing paws: (3, 2), or (4, 2) if ``lifted`` is None."""
         return np.array([self._prints[paw].position[:2] for paw in self.paws if paw != lifted])
 
     def _reaching_pose(self, paw: str, ball: Array) -> Array | None:
@@ -197,7 +197,7 @@ class Lion:
         Args:
             standing: Paws that stand.
             ball: (3,) the ball.
-            center: (3,) where the centre of mass must be; its x and y count.
+            center: (3,) required position of the centre of mass. Only x and y are used.
             goals: Further goals.
         """
         all_goals = [
@@ -233,7 +233,7 @@ class Lion:
         return [*prints, CenterOfMassGoal(None, center, axes="xy")]
 
     def _center_goal(self, lifted: str | None) -> Array:
-        """Return where (3,) the centre of mass must be while a paw is lifted, or none."""
+        """Return the required centre of mass (3,) while a paw is lifted. None: no paw is lifted."""
         center = self.robot.center_of_mass(self.relaxed)
         if lifted is not None:
             normal, offset = hull_edges(hull(self.support(lifted)))
@@ -241,7 +241,7 @@ class Lion:
         return center
 
     def _on_standing_paws(self, plan: Keyframes, paw: str, rate: float) -> Keyframes:
-        """Return the frames of a plan with the standing paws exactly at their places."""
+        """Return the frames of a plan with the standing paws exactly at their positions."""
         relaxed_center = self._center_goal(None)
         leaning_center = self._center_goal(paw)
         lift_time = float(plan.times[1])

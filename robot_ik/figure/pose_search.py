@@ -20,7 +20,7 @@ from robot_ik.figure.poses import (
     PALM_TOLERANCE,
     REACH,
     FigurePose,
-    judged_pose,
+    checked_pose,
     limits_of,
     lowest_body,
     natural_pose,
@@ -32,15 +32,15 @@ from robot_ik.ports import Array
 
 @dataclass(frozen=True)
 class SearchOptions:
-    """Numbers of the search.
+    """Parameters of the search.
 
     Attributes:
-        near: A hand that stays nearer than this to a ball is tried from other poses, m.
-        hopeless: A hand that stays farther away does not come nearer by leaning, m.
+        near: If a hand stays nearer than this to a ball, other start poses are tried, m.
+        max_lean_error: A hand that stays farther away does not get nearer by leaning, m.
         abduction: Angle of the elbow away from the body where bodies touch, rad.
         swivels: Such angles that the search tries, rad.
         random_starts: Number of random poses from which the search begins.
-        starts_before_miss: A quick search that misses from this many poses ends.
+        starts_before_miss: A quick search ends after failures from this many poses.
         quick_budget: Steps of a quick search from all its poses.
         max_steps: Steps from one pose.
         quick_steps: Steps from one pose in a quick search.
@@ -57,7 +57,7 @@ class SearchOptions:
     """
 
     near: float = 0.02
-    hopeless: float = 0.3
+    max_lean_error: float = 0.3
     abduction: float = 0.7
     swivels: tuple[float, ...] = (0.7, 1.2)
     random_starts: int = 6
@@ -77,7 +77,7 @@ class SearchOptions:
 
 
 SEARCH = SearchOptions()
-"""The numbers of all searches."""
+"""The parameters of all searches."""
 
 
 def find_pose(
@@ -99,7 +99,7 @@ def find_pose(
     """
     natural = natural_pose(figure, ball, arm, kind)
     if starts is None:
-        if not natural.violation or natural.error > SEARCH.hopeless:
+        if not natural.violation or natural.error > SEARCH.max_lean_error:
             return natural
         return _search_widely(figure, ball, arm, kind, natural)
     if not natural.violation:
@@ -135,8 +135,8 @@ def best_pose(
         arm: Side of the hand.
         kind: ``reach`` or ``bend``.
         starts: (n, nq) poses from which the steps begin.
-        quick: End early where a ball is out of reach. Starts nearby agree on that. The error of
-            the pose is then too large.
+        quick: End early if a ball is out of reach, since starts nearby give the same result. The
+            error of the pose is then too large.
         prefer_untouched: Prefer a pose without self-contact.
 
     Returns:
@@ -207,7 +207,7 @@ def _swivelled_poses(
     is_low = best.violation.endswith("floor")
     for abduction in (0.0,) if is_low else SEARCH.swivels:
         pose = natural_pose(figure, ball, arm, kind, abduction=abduction, palm_down=is_low)
-        is_promising = pose.violation and pose.error < SEARCH.hopeless
+        is_promising = pose.violation and pose.error < SEARCH.max_lean_error
         yield refiner.refine(pose.q, ball) if is_promising else pose
 
 
@@ -245,7 +245,7 @@ class _Merit:
     Attributes:
         error: Error of hand, feet, balance and floor together. The search reduces it.
         feet: Largest error of the feet, m or rad.
-        center_goal: (2,) where the centre of mass must be. None if balance holds.
+        center_goal: (2,) required position of the centre of mass. None if balance is kept.
         floor_goal: Node and pose (12,) of the point below the floor, or None.
     """
 
@@ -259,7 +259,7 @@ class _PoseRefiner:
     """Moves the hand to a ball from a pose nearby by damped steps that each reduce the error.
 
     The damping is that of Levenberg and Marquardt (Nocedal & Wright, *Numerical Optimization*,
-    section 10.3). The posture is that of the pose itself. The centre of mass is free while it is
+    section 10.3). The posture goal is the current pose. The centre of mass is free while it is
     far enough inside the soles, and is held at their border otherwise. On request, bodies below
     the floor are held above it.
 
@@ -348,7 +348,7 @@ class _PoseRefiner:
             is_unmet = merit.error > PALM_TOLERANCE
             if damping > SEARCH.largest_damping or (is_unmet and (is_stalled or is_missed)):
                 break
-        return judged_pose(self.figure, q, ball, self.arm, merit.feet)
+        return checked_pose(self.figure, q, ball, self.arm, merit.feet)
 
     def _step(self, q: Array, merit: _Merit, damping: float) -> Array:
         """Return the pose (nq,) after one damped step from ``q`` (nq,)."""

@@ -1,4 +1,4 @@
-"""Poses with a hand at a ball, the feet where they are.
+"""Poses with a hand at a ball, without steps.
 
 All balls here are given in the frame of the stance: the middle between the feet, x forward.
 """
@@ -28,7 +28,7 @@ PALM_TOLERANCE = 0.005
 """Largest distance of palm and ball in an admissible pose, m."""
 
 BALANCE_MARGIN = 0.010
-"""Least distance of the centre of mass from the border of the soles' hull, m."""
+"""Smallest distance of the centre of mass from the border of the soles' hull, m."""
 
 CONTACT_TOLERANCE = 0.002
 """Largest depth of a self-contact in an admissible pose, m."""
@@ -92,7 +92,7 @@ class FigurePose:
     violation: str
 
 
-def judged_pose(figure: Figure, q: Array, ball: Array, arm: str, feet_error: float) -> FigurePose:
+def checked_pose(figure: Figure, q: Array, ball: Array, arm: str, feet_error: float) -> FigurePose:
     """Return a pose with its error and its violation, by MuJoCo.
 
     Args:
@@ -128,7 +128,7 @@ def natural_pose(
     center_weight: float = 30.0,
     bend_share: float = 1.0,
 ) -> FigurePose:
-    """Return the pose to which a natural posture leads the hand in some frames.
+    """Return the pose after some frames that move the hand to a ball from a natural posture.
 
     Args:
         figure: The figure.
@@ -174,11 +174,11 @@ def natural_pose(
     solved = rows.solve(
         posture, stiffness, start, limits=limits_of(figure, kind), speeds=None, max_steps=6
     )
-    return judged_pose(figure, solved.q[-1], ball, arm, float(solved.error[-1]))
+    return checked_pose(figure, solved.q[-1], ball, arm, float(solved.error[-1]))
 
 
 def bend_depth(figure: Figure, ball: Array) -> float:
-    """Return how deep to bend for a ball, from 0 to 1, by its height and that of the hand."""
+    """Return the depth of the bend for a ball, from 0 to 1, by its height and that of the hand."""
     hand = figure.hands[next(iter(figure.hands))]
     hanging = float(figure.pose(figure.home, hand)[0][2])
     return float(np.clip(0.15 + 0.85 * (hanging - ball[2] + 0.1) / hanging, 0.15, 1.0))
@@ -207,9 +207,9 @@ def _collision(figure: Figure, q: Array) -> str:
         contact = data.contact[index]
         if contact.dist < -CONTACT_TOLERANCE:
             names = sorted(_body_name(model, model.geom_bodyid[geom]) for geom in contact.geom)
-            return f"its {names[0]} would run into its {names[1]}"
+            return f"its {names[0]} would collide with its {names[1]}"
     body, _, height = lowest_body(figure, data)
-    return f"the {_body_name(model, body)} would go under the floor" if height < 0.0 else ""
+    return f"the {_body_name(model, body)} would be under the floor" if height < 0.0 else ""
 
 
 def _body_name(model: mujoco.MjModel, body: int) -> str:

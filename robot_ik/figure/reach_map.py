@@ -1,4 +1,4 @@
-"""Maps of the balls that a hand reaches: made from the model and kept in a file.
+"""Maps of the balls that a hand reaches, computed from the model and stored in a file.
 
 All balls here are given in the frame of the stance: the middle between the feet, x forward.
 """
@@ -42,10 +42,10 @@ MAP_FILE = "abilities.npz"
 """Name of the file with maps beside a model."""
 
 SLACK = 0.04
-"""Metres. Local minima report errors that are too large by less than this, at least."""
+"""Excess of an error that a local minimum may cause, m, whatever the size of the error."""
 
 SHARE = 0.75
-"""Share of a point's error that counts. Large errors are reported too large by more."""
+"""Share of the error of a point that is certain. The excess of large errors is larger."""
 
 _VERSION = 4
 """Version of the maps. Files of another version are not read."""
@@ -60,10 +60,10 @@ _UNITS = 1e4
 """Stored units per rad and m. A pose is stored within 3.2 rad and m."""
 
 _NEARBY = 12
-"""Poses from which a ball is tried."""
+"""Largest number of start poses for a ball."""
 
 _GRADE_STARTS = 3
-"""Poses from which a point of the map is tried."""
+"""Number of start poses for a point of the map."""
 
 _SHELL = 1.9 * GRID
 """Points up to this distance from those in reach are tried, m."""
@@ -102,7 +102,7 @@ class ReachMap:
         is_missed = np.isfinite(self.error) & (self.error > 0.0)
         return ORIGIN + np.argwhere(is_missed) * GRID, self.error[is_missed].astype(float)
 
-    def is_surely_out(self, ball: Array) -> bool:
+    def is_out_of_reach(self, ball: Array) -> bool:
         """Return whether no pose reaches a ball (3,).
 
         It is far from all points in reach, or some point is farther out of reach than the ball is
@@ -126,7 +126,7 @@ class ReachMap:
         return np.asarray(inner)
 
     def comfortable(self, z: float) -> Array:
-        """Return positions (n, 2) that are in reach at a height, as their neighbours are."""
+        """Return positions (n, 2) in reach at a height whose neighbours are in reach, too."""
         inner = self._inner
         k = (z - ORIGIN[2]) / GRID
         levels = [
@@ -253,7 +253,7 @@ def _compute_maps(
             graded = int(np.isfinite(error).sum())
         _retry_missed(figure, (kind, arm), error, poses)
 
-        # A palm that reaches a point comes as near to other points as they are away from it.
+        # A palm that reaches a point is as near to other points as this point is.
         for i in np.flatnonzero(np.isfinite(error)):
             bound = max(float(error[i]), 0.0) + np.linalg.norm(POINTS - POINTS[i], axis=1)
             error = np.where(np.isfinite(error), np.minimum(error, bound), error)
@@ -295,9 +295,9 @@ def grade(figure: Figure, point: Array, arm: str, kind: str, starts: Array) -> t
 def _retry_missed(
     figure: Figure, key: tuple[str, str], error: NDArray[np.float32], poses: Array
 ) -> None:
-    """Retry missed points from their neighbours, until no further point comes into reach.
+    """Retry missed points from their neighbours, in place in ``error`` and ``poses``.
 
-    It writes into ``error`` and ``poses``.
+    The retries end when no further point is reached.
     """
     kind, arm = key
     fresh = np.flatnonzero(error == 0.0)

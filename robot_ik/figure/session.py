@@ -1,4 +1,4 @@
-"""A running figure: it gets a ball (``set_ball``) and returns frames and decisions (``step``).
+"""A running figure: ``set_ball`` moves its ball, ``step`` returns frames and decisions.
 
 *Active*: the figure follows the ball while it moves. *Passive*: ``start_passive`` freezes the ball
 and the figure acts. The ball stays frozen until passive mode ends or ``reset`` (Pađen 2011).
@@ -34,19 +34,19 @@ from robot_ik.ports import Array
 
 @dataclass(frozen=True)
 class SessionOptions:
-    """Numbers of a session.
+    """Parameters of a session.
 
     Attributes:
-        moved: A ball that moved by less than this has not moved, m.
+        moved: Smallest motion of the ball that counts, m.
         elsewhere: The figure decides again if the ball moved by more than this while a motion is
             planned, m.
-        replace_interval: Least number of frames between two motions.
-        action_lead: Frames in which a reach, a bend or a return to rest is planned. It begins where
-            the present motion will be then. Planning takes 5 to 40 ms.
+        replace_interval: Smallest number of frames between two motions.
+        action_lead: Frames in which a reach, a bend or a return to rest is planned. It begins at
+            the frame of the present motion at that time. Planning takes 5 to 40 ms.
         walk_lead: Frames in which a walk or a jump is planned. Planning takes 100 to 200 ms.
         stop_lead: Frames in which the end of the present walk is planned.
-        at_ease: Largest joint angle from home at which the figure need not return to rest, rad.
-        still: Largest joint speed at which it need not return to rest, rad/s.
+        at_ease: Largest joint angle from home without a return to rest, rad.
+        still: Largest joint speed without a return to rest, rad/s.
         at_stance: Distance at which a stance is reached, m.
         at_heading: Difference of the headings at which a stance is reached, rad.
         near: Distance below which the steps are small, m.
@@ -68,7 +68,7 @@ class SessionOptions:
 
 
 SESSION = SessionOptions()
-"""The numbers of all sessions."""
+"""The parameters of all sessions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +122,7 @@ class FigureSession:
     Args:
         abilities: Abilities of the figure.
         mode: ``active`` or ``passive``.
-        stance: (x, y, heading) where it stands at first.
+        stance: (x, y, heading) of the first stance.
     """
 
     def __init__(
@@ -147,7 +147,7 @@ class FigureSession:
 
     @property
     def ball(self) -> Array | None:
-        """The ball (3,) that counts: in passive mode the frozen one, or None."""
+        """The current ball (3,), in passive mode the frozen one, or None."""
         return self._ball if self.mode == "active" else self._frozen_ball
 
     @property
@@ -163,7 +163,7 @@ class FigureSession:
         return self._pending is not None
 
     def reset(self) -> None:
-        """Put the figure back to where it began, at rest and without a ball."""
+        """Put the figure back to its first stance, at rest and without a ball."""
         self._drop_plan()
         self._q = self.figure.placed(self.figure.home, *self._start)
         self._previous_q = self._q
@@ -252,7 +252,7 @@ class FigureSession:
         )
 
     def _shown_ball(self) -> Array:
-        """Return the ball (3,) that counts, or NaN."""
+        """Return the current ball (3,), or NaN."""
         return np.full(3, np.nan) if self.ball is None else self.ball
 
     def _ball_moved(self, distance: float) -> bool:
@@ -332,7 +332,7 @@ class FigureSession:
             self._plan_jump(ball, arm, decision.speed or 0.0)
 
     def _is_at_rest(self) -> bool:
-        """Return whether the figure stands nearly at home and still. The base and neck are free."""
+        """Return whether the figure is near home and still. The base and the neck do not count."""
         figure = self.figure
         deviation = np.abs(self._q - figure.home)
         deviation[:7] = 0.0
@@ -362,7 +362,7 @@ class FigureSession:
         )
 
     def _plan_from_motion(self, plan: Callable[[Abilities, Array], Motion]) -> None:
-        """Plan a motion from where the present motion will be when the new one begins."""
+        """Plan a motion from the frame of the present motion at which the new one begins."""
         lead = SESSION.action_lead
         q = self._q
         if self._motion is not None:
@@ -412,7 +412,7 @@ class FigureSession:
         )
 
     def _stop_walking(self, motion: Motion) -> None:
-        """Plan an end of the walk after its next steps. The figure decides again there."""
+        """Plan an end of the walk after its next steps. The figure then decides again."""
         current = self._walk
         if current is None:
             return

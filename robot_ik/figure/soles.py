@@ -31,7 +31,7 @@ def shape_points(model: mujoco.MjModel, geom: int, up: Array) -> Array:
         up: (a, 3) direction upwards, in the frame of the body.
 
     Raises:
-        ModelError: The geom is of another kind. A mesh has no exact lowest point here.
+        ModelError: The geom is of another kind. The lowest point of a mesh is not computed.
     """
     matrix = np.empty(9)
     mujoco.mju_quat2Mat(matrix, model.geom_quat[geom])
@@ -86,7 +86,8 @@ class Sole:
     Attributes:
         pitch: (a,) pitches of the table, rad; toes down is positive.
         height: (a,) height of the foot's frame above the floor, m.
-        rolled: (a,) way forward from flat, m. Rolling without slip moves the frame by dx = h dθ.
+        rolled: (a,) distance forward from flat, m. Rolling without slip moves the frame by
+            dx = h dθ.
         front: x of the front end of the flat part, in the foot's frame, m.
         rear: x of the rear end of the flat part, in the foot's frame, m.
     """
@@ -98,7 +99,7 @@ class Sole:
     rear: float
 
     def stand(self, pitch: ArrayLike) -> tuple[Array, Array]:
-        """Return the way forward and the height of the foot's frame at pitches."""
+        """Return the distance forward and the height of the foot's frame at pitches."""
         pitches = np.asarray(pitch, dtype=float)
         return (
             np.interp(pitches, self.pitch, self.rolled),

@@ -1,4 +1,4 @@
-"""Transitions between motions: a smooth begin after another motion, and an early end of a walk."""
+"""Transitions between motions: a smooth start after another motion, an early end of a walk."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NO_DIFFERENCE = 1e-3
 """A smaller difference of positions (rad, m) and speeds (rad/s, m/s) needs no blending."""
 
 _TOES_ON_FLOOR = 0.1
-"""Radians. Toes whose difference is smaller do not blend: the floor is in their way."""
+"""Toes whose difference is smaller do not blend, because the floor blocks them, rad."""
 
 _LAST_STEP = 0.75
 """Length of the last step of a walk that ends early, as a share of the planned step."""
@@ -90,7 +90,7 @@ def stop_walk(figure: Figure, current: Walk, frame: int) -> Walk:
     Args:
         figure: The figure.
         current: The other walk.
-        frame: The last frame of it that is shown.
+        frame: Index of its last frame that is shown.
     """
     now = (frame + 1) * DT
     strikes = current.strikes

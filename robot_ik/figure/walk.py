@@ -43,26 +43,26 @@ _STIFFNESS = {
 """Weights of the posture in a walk, by patterns of joint names."""
 
 _FLAT_PITCH = 1e-4
-"""Radians. A sole with a smaller pitch is flat."""
+"""A sole with a smaller pitch is flat, rad."""
 
 _TOE_STEP = 1e-3
-"""Seconds. Time step of the derivatives of the toes' bend at toe off."""
+"""Time step of the derivatives of the toes' bend at toe off, s."""
 
 _STOOD = -9.0
-"""Seconds. Time of the strike of a foot that stands at the start."""
+"""Time of the strike of a foot that stands at the start, s."""
 
 
 @dataclass
 class _Footfall:
-    """One stay of a foot on the floor.
+    """One stance phase of a foot.
 
     Attributes:
-        print: Where it stands.
+        print: Footprint of the foot.
         strike: Time of the heel strike, s.
         off: Time of toe off, s. Infinite for the last footfall.
-        first: Whether the foot stands there at the start.
-        last: Whether it stands there at the end.
-        share: Length of the step that led here, as a share of a whole step.
+        first: Whether the phase is the first of the foot.
+        last: Whether it is the last of the foot.
+        share: Length of the step before it, as a share of a whole step.
     """
 
     print: Footprint
@@ -80,7 +80,7 @@ class _Footfall:
     def off_share(self, following: _Footfall) -> float:
         """Return the pitch at toe off for the following footfall, as a share of a whole step."""
         largest = WALKING.first_off if self.first else 1.0
-        return min(largest, WALKING.least_off + (1.0 - WALKING.least_off) * following.share)
+        return min(largest, WALKING.min_off + (1.0 - WALKING.min_off) * following.share)
 
 
 class _Plan:
@@ -89,7 +89,7 @@ class _Plan:
     Args:
         figure: The figure.
         prints: Footsteps, alternating sides after the first two.
-        gait: How it walks.
+        gait: Parameters of the gait.
         x: (2,) centre of mass at the start.
     """
 
@@ -237,7 +237,7 @@ class _Plan:
             clearance[swinging] = gait.lift * _arc(s, gait.lift_power, gait.fall_power)
             in_air[swinging] = True
 
-            # The toes stay level while the sole rolls. Then they go on with its speed and
+            # The toes stay level while the sole rolls. Then they continue with its speed and
             # straighten.
             self.toes[side, rolling] = np.maximum(pitch, 0.0)[rolling]
             h = _TOE_STEP
@@ -281,7 +281,7 @@ class _Plan:
         """Return positions (k, 2) and yaws (k,) of a swinging foot at shares (k,) of its swing.
 
         It goes from print to print by a cosine, and around the standing foot where the straight
-        way passes too near.
+        path passes too near.
         """
         gait = self.gait
         share = 0.5 - 0.5 * np.cos(np.pi * (s - gait.late * s * (1 - s)))
@@ -350,7 +350,7 @@ class _Plan:
         Args:
             pelvis: (n, 3, 3) rotations of the pelvis.
             pelvis_xy: (n, 2) positions of the pelvis.
-            knee_deg: Least bend of the knees, degrees.
+            knee_deg: Smallest bend of the knees, degrees.
         """
         gait = self.gait
         t = self.times
@@ -410,8 +410,8 @@ class Walk:
     """A walk from rest to rest.
 
     Attributes:
-        start: (nq,) where it begins.
-        gait: How it walks.
+        start: (nq,) first pose.
+        gait: Parameters of the gait.
         frames: Frames, and the errors of their hard rows.
         contact: (n, 2) AIR, HEEL, FLAT or TOE of each foot.
         zmp: (n, 2) planned zero-moment point.
@@ -437,14 +437,14 @@ def walk(figure: Figure, q: Array, prints: Sequence[Footprint], gait: Gait = WAL
         figure: The figure.
         q: (nq,) standing still on the first two footprints.
         prints: Footsteps, alternating sides after the first two.
-        gait: How it walks.
+        gait: Parameters of the gait.
     """
     plan = _Plan(figure, prints, gait, figure.center(q)[:2])
     shift = np.zeros_like(plan.com)
     pelvis, _, heading = plan.trunk()
     offset = -WALKING.pelvis_behind * axis_rotations("z", heading)[:, :2, 0]
 
-    # The first two passes find where the pelvis is beside the centre of mass.
+    # The first two passes determine the position of the pelvis relative to the centre of mass.
     height = plan.pelvis_height(pelvis, plan.com + shift + offset, WALKING.learning_knee_deg)
     frames = _solve(plan, q, height, shift)
     offset = figure.poses(frames.q, figure.pelvis)[0][:, :2] - plan.com - shift
@@ -492,7 +492,7 @@ def _solve(plan: _Plan, q: Array, height: Array, shift: Array) -> Frames:
 
     Args:
         plan: The plan.
-        q: (nq,) where it begins.
+        q: (nq,) first pose.
         height: (n,) heights of the pelvis.
         shift: (n, 2) shift of the planned centre of mass.
     """
@@ -503,7 +503,7 @@ def _solve(plan: _Plan, q: Array, height: Array, shift: Array) -> Frames:
     rows.feet({side: (plan.foot_positions[k], rotations[k]) for k, side in enumerate(SIDES)})
     rows.center(plan.com + shift, axes="xy")
 
-    # The pose at the begin changes gradually into that of the walk.
+    # The first pose changes gradually into that of the walk.
     begin = minimum_jerk(t / 0.5)
     pelvis, chest, heading = plan.trunk()
     rows.orientation(figure.pelvis, pelvis, 60.0 * begin + 1e-3)
@@ -524,11 +524,11 @@ def _solve(plan: _Plan, q: Array, height: Array, shift: Array) -> Frames:
 
 
 def _posture(plan: _Plan, q: Array, begin: Array) -> Array:
-    """Return postures (n, nq): from the pose at the begin to home, with swinging arms.
+    """Return postures (n, nq): from the first pose to home, with swinging arms.
 
     Args:
         plan: The plan.
-        q: (nq,) where it begins.
+        q: (nq,) first pose.
         begin: (n,) share of the posture of the walk, between 0 and 1.
     """
     figure = plan.figure

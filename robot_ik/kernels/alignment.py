@@ -16,7 +16,7 @@ import math
 from robot_ik.kernels import so3
 from robot_ik.kernels.jit import inlined, outlined
 
-# The correlation of no vectors.
+# The correlation of an empty set of vectors.
 NO_VECTORS = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 # A² + B² below this: no angle is better than another.
@@ -98,8 +98,8 @@ def best_axis(correlation):
     axis = moment(correlation)
     if so3.dot(axis, axis) > _ALIGNED * _ALIGNED * size * size or size == 0.0:
         return axis
-    # Aligned, or a half turn away. Then an axis across the vectors is best: the coordinate axis
-    # that is most across them, without its part along them.
+    # The vectors are aligned, or a half turn away. Then an axis perpendicular to them is best: the
+    # coordinate axis with the largest perpendicular part, without its part along them.
     gains = diagonal[0] - total, diagonal[1] - total, diagonal[2] - total
     gain = max(gains[0], max(gains[1], gains[2]))
     if not gain > _MIN_GAIN * size:

@@ -134,7 +134,7 @@ def is_linear(joint, index):
 def posture_residual(tree, goals, search, g):
     """Write the residual and error of a posture; return (|r|², within tolerance).
 
-    The posture has a row for each column. A coupled joint has none: it follows its leader.
+    The posture has a row for each column. A coupled joint has no row: it follows its leader.
     The error is that of the joint farthest from the posture.
     """
     change = search.dq

@@ -1,13 +1,13 @@
 """Joints as points and bones, for the geometric methods.
 
 A *point* is the anchor of a joint or the origin of a goal's frame. A *bone* joins a point to the
-next point of its chain. A hinge may put its anchor anywhere on its axis. It is put nearest to the
-next point, so that an offset along the axis is not a bone. Under a goal with an orientation it is
-put nearest to the axis before it, where the axes of a wrist meet.
+next point of its chain. The anchor of a hinge may be anywhere on its axis. It is placed nearest to
+the next point, so that an offset along the axis is not a bone. For a goal with an orientation it is
+placed nearest to the previous axis, where the axes of a wrist meet.
 
 A geometric method gives targets to the points. ``settle`` then makes the joints follow: it rotates
-each joint about its real axis and inside its limits to its own optimum, from the root to the tip.
-So q is feasible at all times.
+each joint about its axis to its optimum inside its limits, from the root to the tip. So q is
+feasible at all times.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -44,20 +44,20 @@ _SMALL = 1e-12
 # With c points: the n nodes of the tree, then the g goals. -1 means no point.
 BONES = Layout(
     "Bones",
-    reduced="bool",  # the shares leave out the goals out of reach, as ``search.reduced`` has it
+    reduced="bool",  # ``search.reduced`` for which the shares were written
     hinge_pull="float",  # weight of the goals themselves beside the next points, for a hinge
     ball_pull="float",  # the same for a ball
-    parent="ints c",  # the point before this point
+    parent="ints c",  # the previous point of the chain
     child="ints c",  # the first point after it
     sibling="ints c",  # the next point after the same parent
-    looks_through="ints c",  # 1 if the joint aims past a point that it cannot move
+    skips_point="ints c",  # 1 if the joint cannot move a child and aims at the points after it
     stack="ints c",
     path="ints c",  # points of one chain, from root to tip
     group="ints c",  # joints that aim at the same points, from tip to root
     carries="int_table c g",  # 1 if the node moves the goal
-    point="table c 3",  # where the point is
-    target="table c 3",  # where it should be
-    share="floats c",  # its weight
+    point="table c 3",  # position, world, m
+    target="table c 3",  # target position, world, m
+    share="floats c",  # weight
     shift="floats c",  # from the node's origin to the point, along the axis of the hinge
     length="floats c",  # of the bone that ends in the point
     node="ints 1",  # list of nodes for the forward pass of one joint
@@ -68,20 +68,20 @@ BONES = Layout(
 
 
 @inlined
-def asks_orientation(goals, search, g):
+def has_orientation(goals, search, g):
     """Return whether the orientation of goal ``g`` counts."""
     return goals.orientation_part[g] == ALL_AXES and search.weight[g, 1] > 0.0
 
 
 @inlined
 def offset(table, c, bones, k):
-    """Return the vector to row ``c`` of a table of points from where point ``k`` is."""
+    """Return the vector from point ``k`` to row ``c`` of a table of points."""
     return so3.subtract(so3.read_vector(table, c, 0), so3.read_vector(bones.point, k, 0))
 
 
 @inlined
 def distance(table, c, bones, k):
-    """Return the distance of row ``c`` of a table of points from where point ``k`` is."""
+    """Return the distance of row ``c`` of a table of points from point ``k``."""
     return so3.norm(offset(table, c, bones, k))
 
 
@@ -116,12 +116,12 @@ def link_points(tree, goals, search, bones):
 
 @inlined
 def clear_links(goals, bones):
-    """Write the links of points that do not belong together."""
+    """Remove the links between all points, and their shares, lengths and shifts."""
     for c in range(bones.parent.shape[0]):
         bones.parent[c] = -1
         bones.child[c] = -1
         bones.sibling[c] = -1
-        bones.looks_through[c] = 0
+        bones.skips_point[c] = 0
         bones.length[c] = 0.0
         bones.share[c] = 0.0
         bones.shift[c] = 0.0
@@ -140,7 +140,7 @@ def attach(bones, c, k):
 
 @inlined
 def hinge_shift(tree, goals, search, bones, k):
-    """Return how far along its axis hinge ``k`` puts its point."""
+    """Return the shift of the point of hinge ``k`` along its axis, m."""
     nodes = tree.parent.shape[0]
     total = 0.0
     count = 0
@@ -148,7 +148,7 @@ def hinge_shift(tree, goals, search, bones, k):
     while c >= 0:
         if c < nodes:
             total += tree.constant[c, 2] + bones.shift[c] * tree.constant[c, 11]
-        elif asks_orientation(goals, search, c - nodes):
+        elif has_orientation(goals, search, c - nodes):
             return nearest_to_parent(tree, k)
         else:
             total += goals.local[c - nodes, 2]
@@ -159,7 +159,7 @@ def hinge_shift(tree, goals, search, bones, k):
 
 @inlined
 def nearest_to_parent(tree, k):
-    """Return where the axis of hinge ``k`` is nearest to the axis, or the anchor, of its parent."""
+    """Return the shift of hinge ``k`` to the point nearest to its parent's axis or anchor."""
     parent = tree.parent[k]
     if parent < 0:
         return 0.0
@@ -245,7 +245,7 @@ def triangle_angle(a, c, b):
 
 @outlined
 def side_of_line(tree, world, p, c, line):
-    """Return the direction in which the hinge at ``p``, or at ``c``, leaves the line it is on."""
+    """Return the direction in which the hinge at ``p``, or at ``c``, moves off its line."""
     for k in (p, c):
         if k < tree.parent.shape[0] and tree.kind[k] == HINGE:
             side = so3.cross(joint_axis(world, k), line)
@@ -285,13 +285,13 @@ def add_goal_axes(correlation, search, g, share):
 def next_points(tree, goals, search, bones, k):
     """Return the correlation of the next points that joint ``k`` moves, and their number.
 
-    A joint cannot move a point on its axis, or a point whose anchor coincides with its own. It
-    looks through such a point to the points behind it. Also writes ``bones.looks_through``.
+    A joint cannot move a point on its axis, or a point that coincides with its own anchor. It skips
+    such a point and aims at the points after it. Also writes ``bones.skips_point``.
     """
     nodes = tree.parent.shape[0]
     correlation = NO_VECTORS
     count = 0
-    bones.looks_through[k] = 0
+    bones.skips_point[k] = 0
     depth = 0
     c = bones.child[k]
     while c >= 0 or depth > 0:
@@ -302,7 +302,7 @@ def next_points(tree, goals, search, bones, k):
         descends = False
         if bones.share[c] > 0.0:
             locate(tree, goals, search, bones, c)
-            if c >= nodes and asks_orientation(goals, search, c - nodes):
+            if c >= nodes and has_orientation(goals, search, c - nodes):
                 correlation = add_goal_axes(correlation, search, c - nodes, 1.0)
                 count += 3
             elif distance_to_axis(search.world, bones, tree.kind[k], k, c) > _NO_LEVER:
@@ -311,7 +311,7 @@ def next_points(tree, goals, search, bones, k):
             else:
                 descends = c < nodes
         if descends:
-            bones.looks_through[k] = 1
+            bones.skips_point[k] = 1
             bones.stack[depth] = c
             depth += 1
             c = bones.child[c]
@@ -322,7 +322,7 @@ def next_points(tree, goals, search, bones, k):
 
 @outlined
 def add_goals(tree, goals, search, bones, k, pull, correlation):
-    """Return the correlation with the goals that joint ``k`` moves, if later joints stayed.
+    """Return the correlation with the goals that joint ``k`` moves while later joints stay.
 
     The target of a point contains no error across its bone. A ball can remove such an error and a
     hinge cannot: without the goals, hinges whose axes are not parallel would not move.
@@ -335,7 +335,7 @@ def add_goals(tree, goals, search, bones, k, pull, correlation):
         target = so3.subtract(so3.read_matrix_point(search.target, g), anchor)
         vector = so3.subtract(so3.read_vector(search.frames, g, 0), anchor)
         correlation = add_vector(correlation, pull * bones.share[nodes + g], target, vector)
-        if asks_orientation(goals, search, g):
+        if has_orientation(goals, search, g):
             correlation = add_goal_axes(correlation, search, g, pull)
     return correlation
 
@@ -347,8 +347,8 @@ def add_goals(tree, goals, search, bones, k, pull, correlation):
 def move_frame(search, k, point, rotation, g):
     """Move the frame of goal ``g`` with node ``k``, whose pose was ``point`` and ``rotation``.
 
-    The joints between the node and the frame stay. So a rotation costs the same, however many
-    joints follow.
+    The joints between the node and the frame stay. So the cost of a rotation does not depend on the
+    number of joints after it.
     """
     frames = search.frames
     moved_point = so3.read_vector(search.world, k, 0)
@@ -409,7 +409,7 @@ def aim_ball(tree, goals, search, bones, k, a):
 
 @outlined
 def twist_ball(tree, goals, search, bones, k, a, cone):
-    """Twist ball ``k`` about its bone, inside its cone, so that the hinge after it can work."""
+    """Twist ball ``k`` about its bone, inside its cone, so that the hinge after it can reach."""
     c = bones.child[k]
     if c < 0 or c >= tree.parent.shape[0] or bones.sibling[c] >= 0 or tree.kind[c] != HINGE:
         return
@@ -469,8 +469,8 @@ def fit_ball(tree, goals, search, bones, k):
     cone = math.pi if is_free else min(tree.upper[tree.vadr[k]], math.pi)
     total = aim_ball(tree, goals, search, bones, k, a)
     if cone < math.pi and abs(q[a]) < math.cos(0.5 * cone):
-        # The shortest way leaves the cone. The shortest way from the middle of the cone leaves it
-        # last.
+        # The shortest rotation leaves the cone. The shortest rotation from the middle of the cone
+        # stays in it for longest.
         q[a] = 1.0
         q[a + 1] = 0.0
         q[a + 2] = 0.0
@@ -502,7 +502,7 @@ def fit_joint(tree, goals, search, bones, k):
         move = best_angle(a_term, b_term, tree.lower[v] - q[a], tree.upper[v] - q[a])
         q[a] = min(max(q[a] + move, tree.lower[v]), tree.upper[v])
     elif kind == SLIDE:
-        bones.looks_through[k] = 0
+        bones.skips_point[k] = 0
         move = so3.dot(joint_axis(search.world, k), offset(bones.target, k, bones, k))
         q[a] = min(max(q[a] + move, tree.lower[v]), tree.upper[v])
     else:
@@ -532,7 +532,7 @@ def settle(tree, goals, search, bones, sweeps):
         if bones.share[k] <= 0.0:
             continue
         fit_joint(tree, goals, search, bones, k)
-        if bones.looks_through[k] != 0:
+        if bones.skips_point[k] != 0:
             continue
         size = find_group(bones, k)
         if size > 1:
@@ -541,11 +541,11 @@ def settle(tree, goals, search, bones, sweeps):
 
 @inlined
 def find_group(bones, k):
-    """Write ``k`` and the joints that look through it to ``bones.group``; return their number."""
+    """Write ``k`` and the joints that skip it to ``bones.group``; return their number."""
     size = 1
     bones.group[0] = k
     parent = bones.parent[k]
-    while parent >= 0 and bones.looks_through[parent] != 0:
+    while parent >= 0 and bones.skips_point[parent] != 0:
         if bones.sibling[bones.child[parent]] >= 0:
             break
         bones.group[size] = parent
@@ -556,7 +556,7 @@ def find_group(bones, k):
 
 @inlined
 def settle_group(tree, goals, search, bones, size, sweeps):
-    """Move the joints of ``bones.group``, root to tip, until they are still."""
+    """Move the joints of ``bones.group``, root to tip, until they move no more."""
     for _ in range(sweeps):
         total = 0.0
         for i in range(size - 1, -1, -1):

@@ -40,7 +40,7 @@ from robot_ik.kernels.tree import BALL, HINGE, SLIDE
 _SMALLEST_MOTION = 1e-6
 # m. Added to each bound against rounding.
 _ROUNDING = 1e-9
-# Depth of the stack: an interval can be halved as often.
+# Depth of the stack: the largest number of halvings of an interval.
 STACK_DEPTH = 64
 
 # With nq, nv, l links, n nodes, h the depth of the stack.
@@ -49,10 +49,10 @@ PROOF = Layout(
     checks="int",  # postures that were checked
     max_checks="int",
     segment="int",  # where the proof ended: segment of the path,
-    share="float",  # and share of the segment
+    share="float",  # … and share of this segment
     pair="int",  # the pair of geoms that is not proven free there
     q="floats nq",
-    change="floats nv",  # change along the whole line; of a coupled joint a bound of it
+    change="floats nv",  # change along the whole line, or a bound of it for a coupled joint
     step="floats nv",  # share of the change
     stack="table h 3",  # intervals: middle, half their length, pairs of links that are proven
     travel="table l n",  # bound of the motion of a link relative to the parent of a node
@@ -92,7 +92,7 @@ def write_change(proof, start, dq):
 
 @outlined
 def bound_motion(proof, half):
-    """Write for each pair of links how far it may approach in half an interval of length ``half``.
+    """Write the largest approach of each pair of links in half an interval of length ``half``.
 
     The collision check must have placed the links at the middle of the interval.
     """
@@ -133,8 +133,8 @@ def bound_motion(proof, half):
 def prove_segment(proof, start, dq, margin):
     """Return FREE if the line from ``start`` (nq,) along ``dq`` (nv,) keeps the margin.
 
-    TOUCHING: a pair is nearer than the margin at proof.share. UNDECIDED: a pair is so near to the
-    margin there that nothing can be proven.
+    TOUCHING: a pair is nearer than the margin at proof.share. UNDECIDED: the distance of a pair is
+    so close to the margin there that nothing can be proven.
     """
     run = proof.collision
     check = run.check

@@ -2,7 +2,7 @@
 
 Each check looks at pairs of links first, then at pairs of geoms:
 
-    capsule against capsule of two links         or against a box or plane that stands still
+    capsule against capsule of two links         or against a fixed box or plane
     ball against ball of two geoms               or against the box or plane
     exact distance (``gjk.py``)
 
@@ -42,7 +42,7 @@ _ROUNDING = 1e-9
 # With k pairs of links, p pairs of geoms.
 PAIRS = Layout(
     "Pairs",
-    links="int_table",  # (k, 2) the second stands still if either does
+    links="int_table",  # (k, 2) if one of them is fixed, it is the second
     start="ints",  # (k + 1,) first pair of geoms of each pair of links
     geoms="int_table",  # (p, 2) in the order of the links
     below="int_table",  # (k, 2) of each link: its first node below the common ancestor, or -1
@@ -51,7 +51,7 @@ PAIRS = Layout(
 # With nq, nv, n nodes, g geoms, l links, k pairs of links, p pairs of geoms, r near pairs.
 CHECK = Layout(
     "Check",
-    now="int",  # number of this check
+    now="int",  # number of the current check
     link_pair="int",  # the scan: pair of links, pair of geoms, end of the pairs of geoms
     pair="int",
     pair_end="int",
@@ -119,7 +119,7 @@ def write_vector_at(table, row, column, a):
 
 @inlined
 def restart_scan(check, link_pair):
-    """Begin a scan behind a pair of links."""
+    """Begin a scan after a pair of links."""
     check.link_pair = link_pair
     check.pair = 0
     check.pair_end = 0
@@ -193,7 +193,7 @@ def capsule_is_near_box(shapes, box, first, last, reach):
 
 @outlined
 def place_geoms(shapes, check, link):
-    """Write the world poses of the geoms of a link, once a check."""
+    """Write the world poses of the geoms of a link, once for each check."""
     if check.placed[link] == check.now:
         return
     check.placed[link] = check.now
@@ -236,14 +236,14 @@ def balls_are_near(run, pair, bound):
 
 
 @outlined
-def pair_bounds(run, pair, far, enough):
+def pair_bounds(run, pair, stop_above, stop_below):
     """Return (lower, upper, overlap) of the distance of two placed geoms.
 
     Args:
         run: Block of ``RUN``.
         pair: Pair of geoms.
-        far: Distance that need not be exceeded.
-        enough: Distance below which the exact distance does not matter; -1: it always matters.
+        stop_above: The search ends when the lower bound exceeds this distance.
+        stop_below: The search ends when the upper bound is below this distance; -1: never.
     """
     shapes = run.shapes
     check = run.check
@@ -278,8 +278,8 @@ def pair_bounds(run, pair, far, enough):
         b,
         rotation,
         so3.apply_inverse(rotation_a, offset),
-        far + rounding,
-        enough + rounding,
+        stop_above + rounding,
+        stop_below + rounding,
     )
     so3.write_row(check.axis, pair, so3.read_vector_at(simplex.axis, 0))
     return lower - rounding, upper - rounding, overlap
@@ -321,7 +321,7 @@ def verdict(run, q, margin):
     check = run.check
     begin_check(run, q)
     if check.last_hit > 0:
-        # Of postures that follow each other the same pair touches often.
+        # In successive postures often the same pair touches.
         pair = check.last_hit - 1
         place_pair(run, pair)
         if balls_are_near(run, pair, margin) and pair_verdict(run, pair, margin) == TOUCHING:
@@ -342,14 +342,14 @@ def verdict(run, q, margin):
 def smallest_distance(run, q, reach):
     """Return (distance, pair) of the nearest pair at ``q``; (reach, -1) if all are farther.
 
-    Of pairs that touch the distance is 0 or less, and not the depth.
+    The distance of a pair that touches is 0 or less. It is not the depth.
     """
     check = run.check
     begin_check(run, q)
     nearest_distance = reach
     nearest = -1
     if check.last_nearest > 0:
-        # A small distance to begin with spares the exact distances of most other pairs.
+        # With a small first distance most other pairs need no exact distance.
         pair = check.last_nearest - 1
         place_pair(run, pair)
         if balls_are_near(run, pair, nearest_distance):
@@ -369,9 +369,12 @@ def smallest_distance(run, q, reach):
 
 
 @inlined
-def lower_distance(run, pair, far):
-    """Return a lower bound of a distance up to ``far``; 0 or less for a pair that touches."""
-    lower, _, overlap = pair_bounds(run, pair, far, -1.0)
+def lower_distance(run, pair, stop_above):
+    """Return a lower bound of a distance; 0 or less for a pair that touches.
+
+    The bound is exact up to ``stop_above``.
+    """
+    lower, _, overlap = pair_bounds(run, pair, stop_above, -1.0)
     return min(lower, 0.0) if overlap else lower
 
 
@@ -512,10 +515,10 @@ def smallest_distances(address, q, reach, out, nearest):
 
 
 @kernel
-def bounds_of_pair(address, q, pair, far, out):
+def bounds_of_pair(address, q, pair, stop_above, out):
     """Write (lower, upper, overlap) of the distance of one pair at ``q`` to ``out`` (3,)."""
     run = open_run(address)
     begin_check(run, q)
     place_pair(run, pair)
-    out[0], out[1], overlap = pair_bounds(run, pair, far, -1.0)
+    out[0], out[1], overlap = pair_bounds(run, pair, stop_above, -1.0)
     out[2] = 1.0 if overlap else 0.0

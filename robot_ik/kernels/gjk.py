@@ -1,9 +1,10 @@
 """Distance of two convex cores by the algorithm of Gilbert, Johnson & Keerthi (1988).
 
 The algorithm keeps a simplex of up to four points of A − B (the differences of points of A and B)
-and v, the point of the simplex next to the origin. Each support point gives a *lower* bound: the
-cores lie on two sides of a slab across v. |v| is an *upper* bound. Where the gap is below 0.1 mm,
-rounding spoils |v| more than the lower bound. So only the lower bound decides that cores are apart.
+and v, the point of the simplex nearest to the origin. Each support point gives a *lower* bound: the
+cores are on the two sides of a slab perpendicular to v. |v| is an *upper* bound. Where the gap is
+below 0.1 mm, rounding affects |v| more than the lower bound. So only the lower bound decides that
+cores are apart.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -25,9 +26,9 @@ _SMALLEST_PROGRESS = 1e-14
 # Squared height of a tetrahedron over its face, as a share of the face, below which it is flat.
 _FLAT = 1e-24
 
-# An axis shorter than this is the product of parallel ones.
+# A cross product shorter than this has parallel factors.
 _SHORT_AXIS = 1e-6
-# Directions of overlap that are tried after the first ones.
+# Largest number of directions of overlap that are tried after the first directions.
 _MAX_TURNS = 8
 # m, and share of the depth: the gap to which overlapping cores are moved apart.
 _BEYOND = 1e-4
@@ -46,10 +47,11 @@ SIMPLEX = Layout(
 
 
 @outlined
-def distance_bounds(shapes, hint, simplex, a, b, rotation, offset, far, enough):
+def distance_bounds(shapes, hint, simplex, a, b, rotation, offset, stop_above, stop_below):
     """Return (lower, upper, overlap) of the distance between the cores of geoms ``a`` and ``b``.
 
-    It ends as soon as ``lower`` > ``far``, with an infinite ``upper``, or ``upper`` <= ``enough``.
+    It ends as soon as ``lower`` > ``stop_above``, with an infinite ``upper``, or ``upper`` <=
+    ``stop_below``.
     Writes simplex.axis, v in the frame of ``a``, and the points and shares of which ``witness``
     makes the nearest points.
 
@@ -61,9 +63,8 @@ def distance_bounds(shapes, hint, simplex, a, b, rotation, offset, far, enough):
         b: The second geom.
         rotation: Rotation of ``b`` in the frame of ``a``.
         offset: Position of ``b`` in the frame of ``a``.
-        far: Distance of the cores that need not be exceeded.
-        enough: Distance of the cores below which the exact distance does not matter; negative: it
-            always matters.
+        stop_above: The search ends when the lower bound exceeds this distance.
+        stop_below: The search ends when the upper bound is at most this distance; negative: never.
     """
     v = so3.read_vector_at(simplex.axis, 0)
     square = so3.dot(v, v)
@@ -81,7 +82,7 @@ def distance_bounds(shapes, hint, simplex, a, b, rotation, offset, far, enough):
         point = so3.subtract(on_a, so3.add(so3.apply(rotation, on_b), offset))
         along = so3.dot(v, point)
         lower = max(lower, along / math.sqrt(square))
-        if lower > far:
+        if lower > stop_above:
             so3.write_vector(simplex.axis, 0, v)
             return lower, math.inf, False
         known = simplex.count > 0
@@ -103,7 +104,7 @@ def distance_bounds(shapes, hint, simplex, a, b, rotation, offset, far, enough):
         stalled = known and next_square >= square * (1.0 - _SMALLEST_PROGRESS)
         v = next_v
         square = next_square
-        if stalled or square <= enough * abs(enough):
+        if stalled or square <= stop_below * abs(stop_below):
             break
     so3.write_vector(simplex.axis, 0, v)
     upper = math.sqrt(square)
@@ -123,7 +124,7 @@ def combine(simplex, points):
 
 @inlined
 def is_known(simplex, point):
-    """Return whether a point is in the simplex already: no support point improves v then."""
+    """Return whether a point is in the simplex already. Then no support point improves v."""
     known = False
     for i in range(simplex.count):
         x, y, z = so3.read_vector(simplex.points, i, 0)
@@ -133,7 +134,7 @@ def is_known(simplex, point):
 
 @outlined
 def reduce_simplex(simplex):
-    """Keep the points that carry v, with their shares; return False if the origin is inside."""
+    """Keep the points with a share of v; return False if the origin is inside the simplex."""
     count = simplex.count
     share = simplex.share
     if count == 1:
@@ -191,7 +192,7 @@ def keep_carriers(simplex, first, second, third):
 
 @inlined
 def nearest_on_segment(simplex):
-    """Write the shares of the point of segment 0–1 that is next to the origin."""
+    """Write the shares of the point of segment 0–1 that is nearest to the origin."""
     start = so3.read_vector(simplex.points, 0, 0)
     along = so3.subtract(so3.read_vector(simplex.points, 1, 0), start)
     square = so3.dot(along, along)
@@ -203,7 +204,7 @@ def nearest_on_segment(simplex):
 
 @outlined
 def nearest_on_triangle(simplex, i, j, k):
-    """Write to simplex.trial the shares of the point of a triangle that is next to the origin.
+    """Write the shares of the point of a triangle nearest to the origin to simplex.trial.
 
     By the Voronoi regions of corners, edges and face (Ericson, Real-Time Collision Detection, 2005,
     section 5.1.5).
@@ -280,7 +281,7 @@ def is_outside(simplex, i, j, k, opposite):
 
 @inlined
 def witness(simplex):
-    """Return the point of A next to B, in the frame of A; minus v it is the point of B."""
+    """Return the point of A nearest to B, in the frame of A. The point of B is it minus v."""
     return combine(simplex, simplex.on_first)
 
 
@@ -294,8 +295,8 @@ def smallest_overlap(shapes, hint, simplex, a, b, rotation, offset):
     The distance is the largest separation along any direction, a unit vector from ``b`` to ``a`` in
     the frame of ``a``. The first directions are the axes of both geoms, their products, and the
     line of centres, which is exact for boxes. For other shapes ``b`` is then moved out along the
-    best direction, and the direction between the nearest points is tried in its place, until it
-    improves no more. The depth is an upper bound, and near the truth. Writes the nearest points to
+    best direction, and the direction between the nearest points replaces it, until it improves no
+    more. The depth is an upper bound close to the exact depth. Writes the nearest points to
     simplex.points: row 0 of ``a``, row 1 of ``b``.
     """
     best = -math.inf
@@ -346,7 +347,7 @@ def smallest_overlap(shapes, hint, simplex, a, b, rotation, offset):
 
 @outlined
 def separation_along(shapes, hint, a, b, rotation, offset, direction):
-    """Return how far ``a`` is beyond ``b`` along ``direction``; negative if they overlap there."""
+    """Return the gap from ``b`` to ``a`` along ``direction``; negative if they overlap there."""
     on_a = support(shapes, hint, a, so3.scale(-1.0, direction))
     on_b = support(shapes, hint, b, so3.apply_inverse(rotation, direction))
     on_b = so3.add(so3.apply(rotation, on_b), offset)
@@ -361,5 +362,5 @@ def unit_vector(i):
 
 @inlined
 def pick(columns, i):
-    """Return one of three vectors."""
+    """Return vector ``i`` of three vectors."""
     return columns[0] if i == 0 else (columns[1] if i == 1 else columns[2])

@@ -1,6 +1,6 @@
 """Shared parts of the Jacobian methods: clamped residual, bounds, largest change of a joint.
 
-A step is made as follows. The middle belongs to the method:
+A step is computed as follows. The method supplies the middle line:
 
     prepare(tree, goals, search, box, clamp, alternative)
     fix_pushed_by_gradient(search, box)
@@ -11,8 +11,8 @@ A step is made as follows. The middle belongs to the method:
     keep_inside(box, search.step)
     limit(search.step, gain, max_step)
 
-A *fixed* joint is at its bound and would be pushed out. Its column is zero, so that the others do
-its work and it holds no other joint back. Joints inside their range are never fixed.
+A *fixed* joint is at its bound, and the step would move it beyond. Its column is zero, so that the
+other joints make up for it and it does not limit them. Joints inside their range are never fixed.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -35,8 +35,8 @@ SINGULAR = Layout("Singular", left="table l m", sigma="floats l", right="table l
 def prepare(tree, goals, search, box, clamp, alternative):
     """Write the Jacobian, the clamped residual and the bounds at q to ``box``.
 
-    The polish uses no alternative Jacobian and clamps all goals alike: it ends where the cost
-    itself is lowest.
+    The polish uses no alternative Jacobian and clamps all goals by the same factor, so it ends at a
+    minimum of the cost.
     """
     polishing = search.phase == POLISH
     goal_jacobian(tree, goals, search, alternative and not polishing, box.jacobian)
@@ -46,7 +46,7 @@ def prepare(tree, goals, search, box, clamp, alternative):
 
 @inlined
 def fix_joint(box, u):
-    """Take joint ``u`` out of this step."""
+    """Remove joint ``u`` from this step."""
     box.side[u] = 1
     for r in range(box.residual.shape[0]):
         box.jacobian[r, u] = 0.0
@@ -75,7 +75,7 @@ def fix_pushed_by_gradient(search, box):
 def fix_pushed_by_step(search, box):
     """Fix the joint at a bound that search.step pushes out most; return it, or -1 if there is none.
 
-    One at a time: the last joint fixed was driven out by the others, which still lead downhill.
+    One joint is fixed at a time. The steps of the remaining joints still reduce the cost.
     """
     worst = -1
     farthest = AT_BOUND
@@ -96,9 +96,10 @@ def fix_pushed_by_step(search, box):
 
 @outlined
 def keep_inside(box, step):
-    """Cut ``step`` in place to the bounds; return the share of it that is left.
+    """Clip ``step`` in place to the bounds; return the share of it that is left.
 
-    If cutting single joints would lead uphill, the whole step is shortened. Else the share is 1.
+    If clipping single joints would raise the cost, the whole step is shortened. Else the share
+    is 1.
     """
     columns = step.shape[0]
     share = 1.0
@@ -150,8 +151,8 @@ def shorten_in_polish(search):
 def polish_damping(search):
     """Return the λ² that a method can add in the polish in place of ``shorten_in_polish``.
 
-    More damping shortens the next step and turns it downhill. A shorter step of the same direction
-    would creep along a level line of the cost near a stretched-out arm.
+    More damping shortens the next step and turns it towards the steepest descent. Near a
+    stretched-out arm a shorter step of the same direction would stay at the same cost.
     """
     if search.phase != POLISH:
         return 0.0

@@ -1,7 +1,7 @@
-"""``@kernel``: the one decorator for compiled code, with a cache that cannot go stale.
+"""``@kernel``: the decorator for compiled code, with a cache that is never out of date.
 
 The cache folder of a module is named after a hash of its source and of all sources that it
-imports. numba's cache would keep a compiled caller although a callee in another file has changed.
+imports. numba's cache would keep a compiled caller after a change of a callee in another file.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ logger = logging.getLogger("robot_ik.kernels")
 
 
 class _ExitGuard(event.Listener):
-    """Stops compilation in other threads at exit. LLVM crashes if it ends under a thread."""
+    """Stops compilation in other threads at exit. LLVM crashes if a thread compiles at its end."""
 
     exiting = False
 
@@ -82,7 +82,7 @@ _OPTIONS: dict[str, Any] = {
 _PACKAGE = Path(__file__).resolve().parent.parent
 # Packages with compiled code.
 _WITH_COMPILED_CODE = ("kernels", "solvers", "camera", "reachability")
-# Imports at the margin only, because compiled code cannot use imports inside functions.
+# Imports at the start of a line only, because compiled code cannot import inside functions.
 _IMPORT = re.compile(
     r"^(?:from|import) robot_ik\.([\w.]+)(?: import (\([^)]*\)|[^\n]*))?", re.MULTILINE
 )
@@ -202,7 +202,7 @@ class _InnerLibrary(JITCodeLibrary):
         self._finalized = True
 
     def get_pointer_to_function(self, _name: str) -> int:
-        # A call from Python raises a TypeError, and does not crash.
+        # A call from Python then raises a TypeError and does not crash.
         return ctypes.cast(ctypes.pythonapi.PyErr_BadArgument, ctypes.c_void_p).value or 0
 
     def serialize_using_object_code(self) -> tuple[str, bytes]:
@@ -301,7 +301,7 @@ def outlined(function: F) -> F:
 def entry(function: Any, *arguments: Any) -> Callable[..., Any]:
     """Return the compiled code of an entry point for the types of the arguments.
 
-    A call of it saves numba's inspection of the types, 0.1 µs each.
+    A call of it skips numba's inspection of the types, 0.1 µs for each argument.
     """
     types = tuple(numba.typeof(argument) for argument in arguments)
     try:

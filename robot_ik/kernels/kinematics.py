@@ -383,7 +383,7 @@ def tree_jacobian(tree, nodes, node, local, q, world, scratch, out, jacobian):
 def frame_jacobian(tree, nodes, node, local, q, world, scratch, out, jacobian):
     """Write the pose of a frame to ``out`` (1, 12), and its Jacobian to ``jacobian`` (6, nv).
 
-    The linear velocity of the origin stands above the angular velocity, both in world axes.
+    Rows 0 to 2 are the linear velocity of the origin, rows 3 to 5 the angular velocity, world axes.
     """
     kind = tree.kind
     forward(tree, nodes, q, world, scratch)

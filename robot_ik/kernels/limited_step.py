@@ -4,9 +4,9 @@
     and for each near pair    g · d ≥ −gain (distance − margin)
 
 g is the change of the pair's distance per unit of d (Faverjon & Tournassoud 1987). A pair that is
-nearer than the margin is led out. If that is impossible for all such pairs at once, none of them
-must come nearer. If that leaves no step, because they push in different directions, each of them is
-a weighted residual instead of a constraint: the deepest contact must not become deeper.
+nearer than the margin must move apart. If that is impossible for all such pairs at once, they must
+not come nearer. If these constraints contradict each other, each of them becomes a weighted
+residual: the deepest contact must not become deeper.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -32,9 +32,9 @@ from robot_ik.kernels.tree import TREE
 # Outcomes of a step.
 MOVED, AT_GOAL, BLOCKED, NOT_FINITE = range(4)
 
-# A step that leads below this share of the margin is shortened, unless it leads out.
+# A step to a distance below this share of the margin is shortened, unless the distance increases.
 KEPT_SHARE = 0.9
-# Weight of the way out of a pair, 1/m², if it is no constraint. The goals weigh about 1.
+# Weight of moving a pair apart, 1/m², if that is not a constraint. The goals weigh about 1.
 _PUSH = 1e3
 # m. A pair that touches may come nearer by this in a step, through rounding.
 _ROUNDING = 1e-6
@@ -47,10 +47,10 @@ STEP = Layout(
     "LimitedStep",
     margin="float",  # m
     detection="float",  # m, distance from which pairs have a row
-    gain="float",  # share of the distance beyond the margin that a step may use up
-    way_out="float",  # m, distance that a step may lead out of the margin
+    gain="float",  # share of the distance beyond the margin that a step may use
+    way_out="float",  # m, largest increase of the distance of a pair inside the margin in a step
     damping="float",
-    damping_per_cost="float",  # a goal that cannot be met must not make the joints oscillate
+    damping_per_cost="float",  # keeps the joints from oscillating at a goal that cannot be met
     halvings="int",  # of the last step
     pressed="int",  # rows of collisions that hold the last step back
     largest="floats u",  # largest change of each column in a step
@@ -67,7 +67,7 @@ open_run = RUN.open
 
 @outlined
 def write_rows(run, way_out):
-    """Write the rows of all near pairs; ``way_out`` is how far touching pairs must be led out."""
+    """Write the rows of all near pairs. Touching pairs must move apart by ``way_out``, m."""
     check = run.collision.check
     step = run.step
     program = step.program
@@ -88,7 +88,7 @@ def write_row(run, near, row):
 
 @outlined
 def push_out(run):
-    """Add the ways out of touching pairs to the objective; only the other pairs keep their rows."""
+    """Add the separation of touching pairs to the objective; only the other pairs keep rows."""
     check = run.collision.check
     step = run.step
     program = step.program
@@ -145,9 +145,9 @@ def square_norm(a):
 
 @outlined
 def keeps_distance(run, q, distance, reach):
-    """Return whether all pairs are ``distance`` apart at ``q``; negative: or less deep.
+    """Return whether all pairs are at least ``distance`` apart at ``q``; negative: a depth.
 
-    A yes or no takes a third of the time of the list of near pairs, which alone has depths.
+    This check takes a third of the time of the list of near pairs. Only the list has depths.
     """
     if distance > 0.0:
         return verdict(run, q, distance) == FREE
@@ -198,8 +198,8 @@ def limited_step(address):
     for halving in range(_MAX_HALVINGS):
         apply_step(run.tree, run.goals, search)
         within = measure(run.tree, run.goals, search)
-        # Of two flat parts the nearest points jump from edge to edge. A step must
-        # bring the goal nearer or lead out of the margin, else the joints follow the jumps.
+        # The nearest points of two flat parts jump from edge to edge. The joints must not follow
+        # these jumps, so a step must reduce the cost or increase a distance below the margin.
         useful = search.cost < cost or distance_before < KEPT_SHARE * step.margin
         if useful and keeps_distance(run.collision, search.q, allowed, step.detection):
             copy(search.q, search.best)

@@ -1,4 +1,4 @@
-"""Small dense algebra, written out: at 6 x 6 it is several times faster than LAPACK, without SciPy.
+"""Small dense linear algebra. At 6 x 6 it is several times faster than LAPACK.
 
 ``solve_box`` minimises a damped quadratic inside bounds. Damped least squares and
 Levenberg-Marquardt take their steps with it.
@@ -16,7 +16,7 @@ from robot_ik.kernels.jit import inlined, kernel, outlined
 AT_BOUND = 1e-12
 # A slope that pulls a held joint off its bound counts beyond this share of the steepest slope.
 _SLOPE_ROUNDING = 1e-14
-# Exchanges of all wrong sides that do not lower their number, before single exchanges follow.
+# Exchanges of all wrong sides without a smaller number of them, before single exchanges.
 _FAILED_EXCHANGES = 3
 
 # The step d that minimises ½ ‖J d − r‖² + ½ λ ‖d‖² inside lower ≤ d ≤ upper.
@@ -249,11 +249,11 @@ def solve_box_by_columns(box, matrix, damping, step):
         box: Memory of ``BOX_PROBLEM``; reads gradient g, lower and upper.
         matrix: (u, u) symmetric M; the lower triangle is read.
         damping: λ. M + λ must be positive definite.
-        step: (u,) result.
+        step: (u,) written.
 
     Returns:
-        Joints pressed against a bound at which they already were; -1 if M + λ is not positive
-        definite.
+        Number of joints pressed against a bound at which they already were; -1 if M + λ is not
+        positive definite.
     """
     columns = step.shape[0]
     steepest = guess_sides(box)
@@ -366,7 +366,7 @@ def reduced_system(matrix, damping, gradient, lower, upper, side, factor, step):
 
 @inlined
 def remove_joint(box, hits, hit_count, u, bound):
-    """Take joint ``u``, which stops at ``bound``, out of the system of rows."""
+    """Remove joint ``u``, which stops at ``bound``, from the system of rows."""
     for a in range(hit_count[u]):
         i = hits[u, a]
         x = box.jacobian[i, u]
@@ -417,7 +417,7 @@ def keep_to_box(box, step):
 
 # Singular values
 
-# Sweeps at most; six or seven are enough.
+# Largest number of sweeps. Six or seven are enough.
 _SWEEPS = 40
 # Relative size of rounding.
 _ROUNDING = 1e-15
@@ -431,9 +431,9 @@ def svd(matrix, left, sigma, right):
 
     Args:
         matrix: (m, n), unchanged.
-        left: (p, m) result, p = min(m, n); the rows are the vectors u.
-        sigma: (p,) result; rounding noise beside the largest is zero.
-        right: (p, n) result; the rows are the vectors v. A zero singular value has a unit vector
+        left: (p, m) written, p = min(m, n); the rows are the vectors u.
+        sigma: (p,) written; values that are rounding errors of the largest are zero.
+        right: (p, n) written; the rows are the vectors v. A zero singular value has a unit vector
             on the shorter side and a zero vector on the longer side.
     """
     m, n = matrix.shape
@@ -480,7 +480,7 @@ def orthogonalise(vectors, rotations, count):
                     aa += vectors[a, i] * vectors[a, i]
                     bb += vectors[b, i] * vectors[b, i]
                     ab += vectors[a, i] * vectors[b, i]
-                # Rows that are rounding noise beside the largest need no angle of their own.
+                # Rows that are rounding errors of the largest row need no rotation.
                 noise = min(aa, bb) <= _ROUNDING**2 * largest
                 if noise or abs(ab) <= _ROUNDING * math.sqrt(aa * bb):
                     continue
@@ -517,7 +517,7 @@ def swap_rows(table, a, b):
 def sort_by_length(vectors, rotations, sigma):
     """Write the lengths of the rows to ``sigma``, longest first; make the rows unit vectors.
 
-    A row that is rounding noise becomes zero.
+    A row that is a rounding error becomes zero.
     """
     count = sigma.shape[0]
     for a in range(count):

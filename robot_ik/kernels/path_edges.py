@@ -1,7 +1,7 @@
-"""Checks of straight edges in joint space: fast at samples, and proofs.
+"""Checks of straight edges in joint space: fast checks at samples, and proofs.
 
 ``edge_is_free`` checks postures on the edge with a reserve beside the margin. An edge that passes
-is almost always free, but that is no proof: something thin may stand between two postures.
+is almost always free, but that is no proof: a thin obstacle may be between two postures.
 ``edge_is_proven`` is the proof (``certificate.py``).
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
@@ -22,7 +22,7 @@ EDGE_CHECK = Layout(
     checks="int",  # samples that were checked
     sample="floats nq",
     change="floats nq",
-    samples=COLLISION,  # memory of the samples: that of a proof lists more pairs
+    samples=COLLISION,  # memory of the checks at samples; a proof lists more pairs in its memory
     proof=PROOF,
 )
 open_edge_check = EDGE_CHECK.open
@@ -56,7 +56,7 @@ def sample_is_free(edges, q):
 def edge_is_free(edges, first, last):
     """Return whether the samples of an edge are free, without its first posture.
 
-    The end comes first, then the middle, then the quarters: neighbours of a free sample are
+    The end is checked first, then the middle, then the quarters: neighbours of a free sample are
     probably free, so distant samples find a contact earlier.
     """
     if not sample_is_free(edges, last):

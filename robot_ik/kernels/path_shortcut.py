@@ -1,7 +1,7 @@
-"""Shortcuts: a path of straight edges becomes shorter.
+"""Shortcuts, which make a path of straight edges shorter.
 
 First each corner is connected to the farthest later corner that a free edge reaches. Then two
-random points of the path are connected by a straight edge, again and again, if that edge is free
+random points of the path are repeatedly connected by a straight edge, if that edge is free
 (Geraerts & Overmars, Creating high-quality paths for motion planning, 2007).
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false

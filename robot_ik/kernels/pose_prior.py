@@ -42,7 +42,7 @@ PRIOR = Layout(
     precisions="table",  # (k n, n) one matrix P_k below the other
 )
 
-# What the method writes.
+# Memory that the method writes.
 PRIOR_WORK = Layout(
     "PriorWork",
     x="floats features",
@@ -162,7 +162,7 @@ def rotation_vector(q, a):
 
 @inlined
 def part_of(vector, kind):
-    """Return the coordinate of a vector that a feature of this kind is."""
+    """Return the coordinate of a vector that is the feature of this kind."""
     if kind == VECTOR_X:
         return vector[0]
     return vector[1] if kind == VECTOR_Y else vector[2]

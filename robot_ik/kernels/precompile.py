@@ -1,7 +1,7 @@
-"""Compile kernels in other processes, while this process does something else.
+"""Compile kernels in other processes, while this process continues.
 
-A compiler in this process would hold up its other threads for half a minute. This process later
-loads what the others have compiled from the cache. If a process fails, this process compiles.
+Compilation in this process would block its other threads for half a minute. This process later
+loads the compiled code from the cache. If a process fails, this process compiles.
 
     python -m robot_ik.kernels.precompile NICENESS MODULE:FUNCTION [ARGUMENT ...]
 

@@ -3,7 +3,7 @@
 A level is all goals of one priority. Soft goals form the last levels: they are minimised, but they
 do not decide whether the solve has converged, and they cause no restarts.
 
-One step serves level 0 by damped least squares, then level 1 with the remaining freedom, and so on
+One step solves level 0 by damped least squares, then level 1 with the remaining freedom, and so on
 (Siciliano & Slotine, A general framework for managing multiple tasks in highly redundant robotic
 systems, ICAR 1991). A joint that the step would move over a limit is set to the limit, and the step
 is computed again without it (Flacco, De Luca & Khatib, Control of redundant robots under hard joint
@@ -15,7 +15,7 @@ The search has its own phases, because its cost is a list of costs that are comp
 
     TOGETHER  steps for all levels at once, from the start
     FIRST     level after level from the start
-    RANDOM    level after level from random points, while level 0 is not met and restarts are left
+    RANDOM    level after level from random points, until level 0 is met or no restarts are left
     POLISH    level after level from the best point
     COMPLETE  level after level from a point where the goals of level 0 within reach are met
 
@@ -91,7 +91,7 @@ _TOGETHER_TOLERANCES = 30.0
 _SOFT_DAMPING = 1e-6
 # A soft level is at rest if its step is no longer than this, rad or m.
 _REST = 3e-4
-# Such a step of all levels leaves about its square, so it is the last one.
+# rad or m. The error after such a step of all levels is about its square, so it is the last step.
 _LAST_STEP = 0.05
 # Damping of an earlier level: this if it is met, else also a share of its cost.
 _MET_DAMPING = 1e-12
@@ -134,7 +134,7 @@ OPTIONS = Layout(
 # With m rows of the residual, u columns, l = min(m, u).
 WORK = Layout(
     "LevelWork",
-    level="int",  # the level that is served; the number of levels after the last one
+    level="int",  # the current level; the number of levels after the last level
     damping="float",  # per unit of cost of a needed level
     cost="floats levels",  # half the squared residual of each level
     left_cost="floats levels",  # the cost when the next level began, or _MET
@@ -144,7 +144,7 @@ WORK = Layout(
     lower="floats u",  # bounds of the step
     upper="floats u",
     side="ints u",  # -1, 1 for a joint that the step puts at its lower or upper bound
-    basis="table l u",  # orthonormal rows that span the rows of the levels served so far
+    basis="table l u",  # orthonormal rows that span the rows of the levels so far
     projected="table m u",  # rows of a level without their part in the basis
     gram="table m m",
     multipliers="floats m",
@@ -230,7 +230,7 @@ def stacked_step(tree, goals, search, work, top, damping):
         side[u] = 0
     pressed = 0
     for _ in range(columns + 1):
-        serve_levels(goals, search, work, top, damping)
+        add_levels(goals, search, work, top, damping)
         worst = worst_violation(step, work)
         if worst < 0:
             break
@@ -246,7 +246,7 @@ def stacked_step(tree, goals, search, work, top, damping):
 
 
 @inlined
-def serve_levels(goals, search, work, top, damping):
+def add_levels(goals, search, work, top, damping):
     """Write the step for the levels up to ``top``, with some joints at their bounds."""
     for u in range(search.step.shape[0]):
         bound = work.lower[u] if work.side[u] < 0 else work.upper[u]
@@ -254,14 +254,14 @@ def serve_levels(goals, search, work, top, damping):
     rank = _ZERO
     for level in range(top + 1):
         if level == top and level >= goals.needed_levels:
-            serve_soft_level(goals, search, work, level, damping, rank)
+            add_soft_level(goals, search, work, level, damping, rank)
             return
         level_damping = damping
         if level < top:
             level_damping = _MET_DAMPING
             if not level_met(goals, search, level, 1.0):
                 level_damping += _EARLIER_DAMPING * work.cost[level]
-        rank = serve_level(goals, search, work, level, level_damping, rank)
+        rank = add_level(goals, search, work, level, level_damping, rank)
 
 
 @inlined
@@ -278,7 +278,7 @@ def worst_violation(step, work):
 
 
 @outlined
-def serve_level(goals, search, work, level, damping, rank):
+def add_level(goals, search, work, level, damping, rank):
     """Add the part of a level to search.step; return the new number of rows of work.basis.
 
     J'ᵀ (J'J'ᵀ + λ)⁻¹ (r − J d), with the step d so far. J' is the rows of the level without their
@@ -352,7 +352,7 @@ def extend_basis(work, count, rank):
 
 
 @outlined
-def serve_soft_level(goals, search, work, level, damping, rank):
+def add_soft_level(goals, search, work, level, damping, rank):
     """Add the part of a soft level to search.step.
 
     z minimises ½ |r − J (d + z)|² + ½ λ |z|² with B z = 0, where B is the basis. With H = JᵀJ + λ
@@ -473,14 +473,14 @@ def restore(tree, goals, search, work, top):
 
 @inlined
 def leave_level(goals, search, work, level):
-    """Remember whether a level is met, or its cost, when the next level begins."""
+    """Store whether a level is met, or its cost, when the next level begins."""
     met = level_met(goals, search, level, 1.0)
     work.left_cost[level] = _MET if met else work.cost[level]
 
 
 @inlined
 def is_better(work):
-    """Return whether left_cost beats best_cost. The first level that differs decides."""
+    """Return whether left_cost is better than best_cost. The first level that differs decides."""
     for level in range(work.cost.shape[0]):
         now = max(work.left_cost[level], 0.0)
         best = max(work.best_cost[level], 0.0)
@@ -496,7 +496,7 @@ def is_better(work):
 
 @inlined
 def is_short_try(search, work):
-    """Return whether level 0 is served from a random point, with few steps."""
+    """Return whether the search descends to level 0 from a random point, with few steps."""
     return search.phase == RANDOM and work.level == 0
 
 
@@ -509,7 +509,7 @@ def keep_accepted(search):
 
 @outlined
 def take_step(tree, goals, search, work):
-    """Take the step and measure where it leads."""
+    """Take the step and measure the new point."""
     copy(search.q, work.accepted)
     advance(tree, goals, search)
     search.pending = NOTHING
@@ -525,7 +525,7 @@ def undo_step(tree, goals, search, work):
 
 @outlined
 def step_level(tree, goals, search, work, options):
-    """Take one step of the level that is served. Undo it unless it helps at no cost to others."""
+    """Take one step of the current level. Undo it unless it helps and keeps the earlier levels."""
     level = work.level
     before = work.cost[level]
     soft = level >= goals.needed_levels
@@ -700,7 +700,7 @@ def end_try(tree, goals, search, work):
 
 @outlined
 def end_level(tree, goals, search, work, options):
-    """Leave a level that is met, or that no step helps."""
+    """Leave a level that is met, or that no step improves."""
     level = work.level
     met = level_met(goals, search, level, 1.0)
     if search.reduced and met:

@@ -23,7 +23,7 @@ _MAX_STEPS = 200
 # With u unknowns, r rows, s = u + 1 constraints that may be active.
 PROGRAM = Layout(
     "QuadraticProgram",
-    row_count="int",  # rows that count
+    row_count="int",  # rows of A in use
     active="int",  # active constraints
     hessian="table u u",  # H, symmetric positive definite
     gradient="floats u",  # g

@@ -1,9 +1,9 @@
 """``GOALS``: the goals of a problem, read-only in kernels; residual and Jacobian.
 
-Each goal owns some rows of the residual, one goal after the other. Each degree of freedom that
-moves any goal owns a column of the Jacobian. The column of a stiff joint is shortened by
+Each goal has some rows of the residual, one goal after the other. Each degree of freedom that
+moves any goal has a column of the Jacobian. The column of a stiff joint is shortened by
 ``joint_scale``, and ``search.apply_step`` shortens its step by the same factor: the damped step
-then spares the joint (weighted least squares, Whitney 1972).
+then moves the joint less (weighted least squares, Whitney 1972).
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -28,9 +28,9 @@ GOALS = Layout(
     "Goals",
     needed_levels="int",  # levels with goals that are not soft; soft levels come after them
     prior_goal="int",  # which goal is a pose prior, or -1
-    subject="ints",  # (g,) what the goal is on, a code of ``body_goals``
+    subject="ints",  # (g,) frame, centre of mass, joints or prior, a code of ``body_goals``
     position_part="ints",  # (g,) which coordinates count, a code of ``frame_goals``
-    orientation_part="ints",  # (g,) what of the orientation counts, a code of ``frame_goals``
+    orientation_part="ints",  # (g,) which part of the orientation counts, a code of ``frame_goals``
     level="ints",  # (g,) place in the order of priorities, 0 first; see ``priorities``
     soft="ints",  # (g,) 1: the goal does not decide whether the solve has converged
     row="ints",  # (g,) first row of the residual
@@ -63,7 +63,7 @@ open_goals = GOALS.open
 def evaluate(tree, goals, search):
     """Write the residual and error of all goals; return (½ |r|², all within tolerance).
 
-    Leaves out a pose prior: it is always soft, and only ``priorities`` serves soft goals.
+    Leaves out a pose prior: it is always soft, and only ``priorities`` supports soft goals.
     """
     cost = 0.0
     all_within = True

@@ -28,11 +28,11 @@ SHAPES = Layout(
     rounding="floats",  # (g,) radius of the ball that sweeps the core
     ball="floats",  # (g,) radius of a ball about the origin that contains the geom; inf: a plane
     link="ints",  # (g,) link of each geom
-    local="table",  # (g, 12) pose in the link's node; of a geom that stands still, in the world
+    local="table",  # (g, 12) pose in the link's node, or in the world for a fixed geom
     node="ints",  # (l,) node that carries the link, -1: the world
     geom_start="ints",  # (l + 1,) first geom of each link; geoms are sorted by link
     capsule="table",  # (l, 8) a capsule that contains the link: ends, radius, radius of its ball
-    box="ints",  # (l,) the geom of a link that is one box or plane that stands still, else -1
+    box="ints",  # (l,) the geom of a link that is one fixed box or plane, else -1
     vertex_start="ints",  # (g,) first vertex of each mesh
     vertex_end="ints",  # (g,) end of its vertices; geoms of one mesh share them
     vertices="table",  # (v, 3) in the frame of the geom
@@ -45,8 +45,8 @@ SHAPES = Layout(
 def support(shapes, hint, g, direction):
     """Return the point of the core of geom ``g`` that is farthest along ``direction``.
 
-    Both are in the frame of the geom. A mesh writes the vertex to ``hint`` (g,) and begins there
-    the next time.
+    Both are in the frame of the geom. For a mesh the vertex is written to ``hint`` (g,), where the
+    next search begins.
     """
     kind = shapes.kind[g]
     x, y, z = direction
@@ -87,7 +87,7 @@ def farthest_vertex(shapes, hint, g, direction):
                 height = other
                 best = vertex
         return best
-    # A convex hull has no local maximum but the highest vertex.
+    # The only local maximum of a convex hull is the highest vertex.
     best = hint[g]
     height = so3.dot(direction, so3.read_vector(shapes.vertices, best, 0))
     rising = True
@@ -129,7 +129,7 @@ def segment_gap(first, second, first_end, second_end):
     u = so3.subtract(first_end, first)
     v = so3.subtract(second_end, second)
     r = so3.subtract(first, second)
-    # Never zero, so that a point is a segment too.
+    # Never zero, so that a point is a valid segment.
     a = so3.dot(u, u) + 1e-18
     e = so3.dot(v, v) + 1e-18
     b = so3.dot(u, v)

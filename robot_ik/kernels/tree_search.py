@@ -3,7 +3,7 @@
 Kuffner & LaValle, RRT-Connect: an efficient approach to single-query path planning, 2000. One tree
 grows from the start, the other from all goal postures. Each iteration draws a random posture,
 extends one tree towards it by one edge, and then extends the other tree to the new node until an
-edge is blocked. The smaller tree is the one that is extended towards the random posture.
+edge is blocked. The smaller tree is extended towards the random posture.
 
 Edges are checked at samples. The caller proves the edges of a path and removes those that are
 refuted (``REMOVED``). Then the search goes on.
@@ -40,7 +40,7 @@ TREE_SEARCH = Layout(
     iterations="int",  # random postures so far
     random_state="int",
     longest="float",  # rad or m, longest edge
-    root="int",  # next goal root to which the straight edge from the start is tried
+    root="int",  # goal root for the next straight edge from the start
     start_node="int",  # nodes at which the trees meet
     goal_node="int",
     lower="floats nq",  # box of the random postures
@@ -93,7 +93,7 @@ def draw_target(search):
 
 @outlined
 def extend(search, nodes, node, target):
-    """Add a node on the way from a node to ``target`` (nq,); return it, or -1 if it is blocked."""
+    """Add a node between a node and ``target`` (nq,); return it, or -1 if the edge is blocked."""
     distance = distance_between(nodes.q[node], target)
     share = min(1.0, search.longest / max(distance, 1e-300))
     write_between(nodes.q[node], target, share, search.fresh)

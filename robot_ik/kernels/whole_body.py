@@ -1,6 +1,6 @@
-"""Frames of a moving body: hard rows, soft rows and limits.
+"""Inverse kinematics of the frames of a motion, with hard rows, soft rows and limits.
 
-Each frame minimises, from the end of the frame before it,
+Each frame minimises, from the end of the previous frame,
 
     Σ w |A dq − a|² + Σ s (posture − q)²    subject to    J dq = e,  lower <= dq <= upper
 
@@ -32,14 +32,14 @@ from robot_ik.kernels.tree import FREE, HINGE, SLIDE, TREE
 
 # Kinds of groups of three rows: the origin of a frame, its rotation, the centre of mass, the
 # direction of the x axis of a frame, and the angular momentum about the centre of mass since the
-# frame before (kg m² rad).
+# previous frame (kg m² rad).
 POSITION, ROTATION, CENTER_OF_MASS, AIM, MOMENTUM = range(5)
 # Weight of a row that must hold.
 HARD = math.inf
 
 # A longer step, rad or m, is shortened: rows are linear near q only.
 _LONGEST = 0.4
-# Cost of a step itself, beside posture weights of 0.02 and more.
+# Weight of the step length. Posture weights are 0.02 and more.
 _DAMPING = 1e-4
 # Slack of the hard rows: it keeps their system solvable if they depend on each other.
 _SLACK = 1e-10
@@ -47,9 +47,9 @@ _SLACK = 1e-10
 _YIELDING = 1e-2
 # Damping of a step that would be longer than ``_LONGEST``.
 _CAUTIOUS = 10.0
-# Angular momentum is scaled to count like metres: 10 kg m² of the body.
+# Angular momentum is divided by 10 kg m², the inertia of a body, to be comparable with metres.
 _MOMENTUM_SCALE = 0.1
-# How often joints are held at their bounds within one step.
+# Largest number of solves of one step with more joints held at their bounds.
 _HOLDS = 8
 # A step may exceed its bounds by this before a joint is held, rad or m.
 _BOUND_SLACK = 1e-12
@@ -61,29 +61,29 @@ WHOLE_BODY = Layout(
     "WholeBody",
     max_steps="int",  # of each frame
     rest="float",  # a shorter step (rad, m) is the last one of a frame …
-    close="float",  # … if no hard row misses by more than this (m, rad)
+    close="float",  # … if the error of no hard row is larger than this (m, rad)
     hard_count="int",  # hard rows at q
     hard_error="float",  # the largest error of a hard row at q, m or rad
     kind="ints",  # (g,) of each group of three rows
     node="ints",  # (g,) node that carries the frame
     local="table",  # (g, 12) pose of the frame in the node
     axes="ints",  # (g,) bit k: the row of world axis k counts
-    share="table",  # (g, nv) 1 where a degree of freedom may serve the group
+    share="table",  # (g, nv) 1 where a degree of freedom may move the group
     masses="table",  # (n + 1, 4) mass and centre of each node, see ``body_goals.center_of_mass``
     inertia="table",  # (n, 9) of each node about this centre, in the node's axes, row by row
     stiffness="floats",  # (nv,) weight of the posture
     lower="floats",  # (nv,)
     upper="floats",  # (nv,)
     stride="floats",  # (nv,) how far a joint may move in one frame
-    # What the kernel writes.
+    # Written by the kernel.
     world="table n 12",
     scratch="table 2 12",
     pose="table g 12",
     moments="table b 4",
     carried="table n 9",  # inertia about the centre of mass of each node with its descendants
     center="floats 3",
-    previous="floats nq",  # the frame before
-    displacement="floats nv",  # from the frame before to q
+    previous="floats nq",  # q of the previous frame
+    displacement="floats nv",  # from the previous frame to q
     row="table 3 nv",
     error="floats 3",
     hard="table h nv",
@@ -156,8 +156,8 @@ def read_inertia(table, k):
 def momentum_rate(tree, body, v):
     """Return the angular momentum about the centre of mass per unit of degree of freedom ``v``.
 
-    What the freedom moves has the mass m, the first moment s and the inertia I about the centre of
-    mass. A rotation with ω about a point p gives I ω + s × (ω × (c − p)), a shift s × v.
+    The bodies that it moves have the mass m, the first moment s and the inertia I about the centre
+    of mass. A rotation with ω about a point p gives I ω + s × (ω × (c − p)), a shift s × v.
     """
     node = tree.dof_node[v]
     center = so3.read_vector_at(body.center, 0)
@@ -218,7 +218,7 @@ def frame_rows(tree, body, kind, target, t, g):
 
 @outlined
 def measure_displacement(tree, body, q):
-    """Write the change (nv,) from the frame before to q, and the bounds of the next step."""
+    """Write the change (nv,) from the previous frame to q, and the bounds of the next step."""
     kinematics.difference(tree, body.previous, q, body.displacement)
     for k in range(tree.kind.shape[0]):
         a = tree.qadr[k]
@@ -384,7 +384,7 @@ def hold_and_solve(body, damping, slack):
 def bounded_step(tree, body, q):
     """Take one step from q inside the bounds, in place; return the length of its largest part."""
     longest = hold_and_solve(body, 0.0, _SLACK)
-    if longest > _LONGEST:  # soft rows that cannot be met pull far; the hard rows still hold
+    if longest > _LONGEST:  # unreachable soft rows cause long steps; the hard rows still hold
         longest = hold_and_solve(body, _CAUTIOUS, _SLACK)
     if longest > _LONGEST:
         longest = hold_and_solve(body, _CAUTIOUS, _YIELDING)
@@ -417,11 +417,11 @@ def solve_frames(address, target, weight, posture, q, start, second, error, used
             frame.
         weight: (frames, groups) weights; ``HARD``; 0 leaves a group out.
         posture: (frames, nq).
-        q: (frames, nq) result.
-        start: (nq,) the frame before the first.
-        second: (nq,) the frame before that; the first frame continues the motion.
-        error: (frames,) result: largest error of a hard row (m, rad).
-        used: (frames,) result: steps taken.
+        q: (frames, nq) written, rad and m.
+        start: (nq,) q of the frame before the first.
+        second: (nq,) q of the frame before ``start``; the first frame continues the motion.
+        error: (frames,) written: largest error of a hard row (m, rad).
+        used: (frames,) written: number of steps.
     """
     body = open_body(address)
     tree = body.tree

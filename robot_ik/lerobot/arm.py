@@ -47,7 +47,7 @@ MAX_STEP = 0.8
 instead of elbow up."""
 
 NEARBY = 0.05
-"""m. A tool action this near to the last command must not change the branch."""
+"""m. A tool action nearer than this to the last command must not change the branch."""
 
 
 class RobotIkArm(Robot):
@@ -148,7 +148,7 @@ class RobotIkArm(Robot):
         log.info("%s connected", self)
 
     def configure(self) -> None:
-        """Switch torque on at the present pose. ``connect`` sets the servos up before."""
+        """Switch torque on at the current pose. ``connect`` has set the servos up before."""
         self._require_arm().enable(handle_signals=False)
 
     def calibrate(self) -> None:
@@ -331,7 +331,7 @@ class RobotIkArm(Robot):
 
 
 def _wait_for_enter(text: str, meanwhile: Callable[[], None]) -> None:
-    """Show a text and call ``meanwhile`` until a line comes on standard input."""
+    """Show a text and call ``meanwhile`` repeatedly until standard input has a line."""
     print(text, flush=True)
     while not select.select([sys.stdin], [], [], 0.0)[0]:
         meanwhile()

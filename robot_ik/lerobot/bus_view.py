@@ -18,8 +18,8 @@ class BusView:
 
     Args:
         config: Arm file.
-        observe: Returns key -> present position.
-        command: Takes key -> goal position.
+        observe: Returns the present positions by key.
+        command: Takes the goal positions by key.
 
     Attributes:
         motors: Joint -> LeRobot's motor.
@@ -40,12 +40,12 @@ class BusView:
         self._command = command
 
     def sync_read(self, data_name: str, *_args: object, **_options: object) -> dict[str, float]:
-        """Return motor -> Present_Position."""
+        """Return Present_Position by motor."""
         _require(data_name, "Present_Position")
         return {key.removesuffix(POSITION): value for key, value in self._observe().items()}
 
     def sync_write(self, data_name: str, values: Mapping[str, float], **_options: object) -> None:
-        """Send motor -> Goal_Position."""
+        """Send Goal_Position by motor."""
         _require(data_name, "Goal_Position")
         self._command({name + POSITION: value for name, value in values.items()})
 

@@ -25,16 +25,16 @@ from robot_ik.robot import Robot, load_robot
 from robot_ik.solution import Solution
 
 POSE_JOINTS = 6
-"""Joints that a whole pose needs. With fewer joints the position comes first."""
+"""Number of joints that a full pose needs. With fewer joints the position has priority."""
 
 FAR_POSITION = 0.05
 """m between start and target. A nearer target is followed on the branch of the start."""
 
 FAR_ANGLE = 0.5
-"""rad between start and target, likewise."""
+"""rad between start and target. A nearer target is followed on the branch of the start."""
 
 BETTER_ANGLE = np.radians(1.0)
-"""rad. For a far target another branch is taken if its orientation is nearer by this."""
+"""rad. For a far target another branch is taken if its orientation error is smaller by this."""
 
 UNIT = {HINGE: np.radians(1.0), SLIDE: 1e-3}
 """Joint value of one unit: degrees for hinges, millimetres for slides."""
@@ -44,8 +44,8 @@ class Kinematics:
     """Kinematics of one frame of a robot, in degrees and 4x4 matrices.
 
     The position of the target is met exactly if the arm reaches it. An arm with six or more joints
-    meets the orientation too. With fewer joints the orientation is as near as the arm can bring it
-    without leaving the position. Targets that move in small steps are followed without jumps.
+    meets the orientation too. With fewer joints the orientation error is the smallest possible at
+    this position. Targets that move in small steps are followed without jumps.
 
     Args:
         urdf_path: Path of a URDF or MJCF, name of a bundled robot, or a ``Robot``.
@@ -116,7 +116,7 @@ class Kinematics:
             current_joint_pos: Joint values in degrees to start from. Values outside the limits are
                 moved inside. Entries that do not move the frame are returned unchanged.
             desired_ee_pose: 4x4 matrix.
-            position_weight: Not used: the position always comes first.
+            position_weight: Not used: the position always has priority.
             orientation_weight: 0: only the position counts. Any other value: the orientation
                 counts too.
 

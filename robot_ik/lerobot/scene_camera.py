@@ -22,7 +22,7 @@ BACKGROUND = 200
 
 
 class SceneCamera(Camera):
-    """Draws one picture a call. There is no thread and no waiting.
+    """Draws one picture for each call, without a thread and without waiting.
 
     Args:
         config: Options.
@@ -51,7 +51,7 @@ class SceneCamera(Camera):
 
     @staticmethod
     def find_cameras() -> list[dict[str, Any]]:
-        """Return no cameras: a drawn one cannot be discovered."""
+        """Return no cameras: a drawn camera cannot be discovered."""
         return []
 
     def connect(self, warmup: bool = True) -> None:  # noqa: ARG002  # of LeRobot's interface
@@ -59,7 +59,7 @@ class SceneCamera(Camera):
         self._is_connected = True
 
     def read(self) -> NDArray[np.uint8]:
-        """Return an RGB picture (height, width, 3) of the arm as it is now."""
+        """Return an RGB picture (height, width, 3) of the arm at its current joint angles."""
         width, height = self._intrinsics.size
         image = np.full((height, width, 3), BACKGROUND, dtype=np.uint8)
         self._drawn.draw(self._read_qpos(), self._intrinsics, self._pose).over(image)

@@ -60,7 +60,7 @@ class Units:
 
     Attributes:
         joints: Names in the order of the arm file.
-        grippers: Names of the joints that grip.
+        grippers: Names of the gripper joints.
         features: LeRobot's description of the joint positions: key -> type.
         velocity_features: The same of the joint velocities.
     """

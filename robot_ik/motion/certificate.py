@@ -19,16 +19,16 @@ from robot_ik.robot import Robot
 Ints = NDArray[np.int64]
 
 MAX_CHECKS = 20_000
-"""Postures that a proof may check: about a tenth of a second."""
+"""Largest number of postures that a proof checks: about a tenth of a second."""
 
-JUDGED_POSTURES = 64
-"""Touching samples that MuJoCo measures for the depth in an error."""
+MEASURED_POSTURES = 64
+"""Largest number of touching samples whose depth MuJoCo measures for an error."""
 
 SAME_DIRECTION = 1e-7
-"""Largest difference of two unit directions that are one straight line."""
+"""Largest difference of two unit directions on one straight line."""
 
 STRAIGHT = 1e-10
-"""rad or m. Largest distance of samples from a line that stands for them."""
+"""rad or m. Largest distance of samples from a line that replaces them."""
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,9 @@ class Certificate:
     """Result of ``certify``.
 
     Attributes:
-        certified: Whether the whole motion is proven to keep the margin. If not, no contact was
-            found, but some part comes so near to the margin that nothing can be proven.
+        certified: Whether the whole motion is proven to keep the margin. If False, no contact was
+            found, but the distance of some parts is so close to the margin that nothing can be
+            proven.
         clearance: Distance that is proven for the whole motion, m; nan if it is not certified.
         checks: Number of postures that were checked.
     """
@@ -63,7 +64,8 @@ def certify(
         times: Seconds (n,) of the postures, for the error. None counts the postures.
 
     Raises:
-        MotionBlockedError: A pair comes nearer than the margin: when, which pair, how deep.
+        MotionBlockedError: A pair comes nearer than the margin. The error has the time, the pair
+            and the depth.
         ModelError: Another shape, or a number that is not finite.
     """
     robot = collisions.scene.robot
@@ -160,7 +162,7 @@ def _blocked(
         at = float(seconds[touching[0]])
     first = collisions.clearance(posture)
     deepest = first.distance
-    chosen = np.linspace(0, len(touching) - 1, min(JUDGED_POSTURES, len(touching))).astype(int)
+    chosen = np.linspace(0, len(touching) - 1, min(MEASURED_POSTURES, len(touching))).astype(int)
     for row in touching[chosen]:
         clearance = collisions.clearance(rows[row])
         if clearance.pair == first.pair:

@@ -1,11 +1,12 @@
-"""``MotionGuard``: allows only motions that keep away from collisions, or that lead out of one.
+"""``MotionGuard``: allows only motions that keep away from collisions, or that move out of one.
 
     guard = MotionGuard(avoid)
     trajectory = guard.checked(joint_move(robot, q, goal))    # or MotionBlockedError
     guard.blocked_at(q, q + step)                             # None, or the blocked posture
 
-An arm often stands in contact: it rests on the table, or its model is not exact. So parts that are
-nearer than the margin at the start of a motion may keep their distance. They must not come nearer.
+An arm is often in contact at rest: it lies on the table, or its model is not exact. So parts that
+are nearer than the margin at the start of a motion may keep their distance. They must not come
+nearer.
 """
 
 from __future__ import annotations
@@ -32,10 +33,10 @@ STEP_ROUNDING = 1e-9
 """m. Parts that touch may come nearer by this in one step of a stream, through rounding."""
 
 NEAR = 1e-3
-"""m. Parts that are nearer than the margin and this are led apart without a proof of the margin."""
+"""m. Parts nearer than the margin plus this may move apart without a proof of the margin."""
 
 PROVEN_SHARE = 0.9
-"""Share of the margin that is proven while parts are led apart."""
+"""Share of the margin that is proven while parts move apart."""
 
 LONGEST_SAMPLE = 0.01
 """rad or m. Distance of the postures of a step that are checked while parts touch.
@@ -144,7 +145,7 @@ class MotionGuard:
             return blocked
         smaller_margin = PROVEN_SHARE * margin
         if 0.0 < smaller_margin < distances.min():
-            # A motion away from the margin cannot be proven to keep it, but to keep a part of it.
+            # For a motion that starts at the margin only a part of the margin can be proven.
             if not self._is_proven(q, change, smaller_margin):
                 return self._proof.arrays["q"].copy()
         else:
@@ -153,7 +154,7 @@ class MotionGuard:
         return self._nearer_at(q, change, geoms, np.minimum(distances, margin))
 
     def forget(self) -> None:
-        """Discard the kept distances, because obstacles may have moved."""
+        """Discard the stored distances, because obstacles may have moved."""
         self._near_q.fill(np.nan)
 
     def _is_proven(self, q: Array, change: Array, margin: float) -> bool:

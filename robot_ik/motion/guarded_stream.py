@@ -5,9 +5,9 @@
     command = stream.next(wanted)         # each tick; stream.contact is the pair that blocks it
     stream.was_sent(arm.send(command))    # the command after the limiter of the arm
 
-An arm in motion needs a distance to stop. So a step is allowed only if the arm may brake straight
-from its end. If that is not free, the arm moves the joints that may move, and brakes the other
-joints. Braking is free, because it was checked with the last step.
+An arm in motion needs a distance to stop. So a step is allowed only if straight braking from its
+end is free. If it is not, the arm moves the joints that may move, and brakes the other joints.
+Braking itself is free, because it was checked with the last step.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from robot_ik.geometry import Array
 from robot_ik.motion.guard import MotionGuard
 
 SHARES = (0.5, 0.25)
-"""Shares of the way from braking to a step that are tried if the step is not allowed."""
+"""Shares of the change from braking to a step that are tried if the step is not allowed."""
 
 TICK_ROUNDING = 1e-6
-"""Rounding error of a number of ticks. One tick more would lengthen the way that was checked."""
+"""Rounding error of a number of ticks. One tick more would lengthen the checked distance."""
 
 CAP_SHARE = 0.98
 """Share of the limits to use, so that the limiter of an arm changes no command."""

@@ -74,7 +74,7 @@ class KeyPoses:
             raise _unknown("pose", name, self.poses) from None
 
     def record(self, name: str, q: ArrayLike, *, replace: bool = False) -> Array:
-        """Keep ``q`` (nq,) under a name, and return a copy.
+        """Store ``q`` (nq,) under a name, and return a copy.
 
         Raises:
             TrajectoryError: The name exists or is empty, or a joint is outside its limits.
@@ -84,7 +84,7 @@ class KeyPoses:
             raise TrajectoryError("a pose needs a name", hint="give one, such as 'stand'")
         if name in self.poses and not replace:
             hint = "give another name, or replace=True"
-            raise TrajectoryError(f"there is a pose {name!r} already", hint=hint)
+            raise TrajectoryError(f"there is already a pose {name!r}", hint=hint)
         self.poses[name] = Keyframes(self.robot, [0.0], [self.robot.check_q(q)]).q[0]
         return self[name]
 
@@ -96,7 +96,7 @@ class KeyPoses:
         *,
         loop: bool = False,
     ) -> KeySequence:
-        """Keep a motion through named poses. It replaces a motion of the same name.
+        """Store a motion through named poses. It replaces a motion of the same name.
 
         Raises:
             TrajectoryError: A pose does not exist, or the durations do not fit.
@@ -255,7 +255,7 @@ def _pose_of(
 
 
 def _numbers_of_joints(robot: Robot) -> dict[str, slice]:
-    """Return where the numbers of each joint are in q."""
+    """Return the slice of q with the numbers of each joint, by name."""
     rows = zip(robot.joints, robot.tree.kind.tolist(), robot.tree.qadr.tolist(), strict=True)
     return {joint: slice(start, start + Q_WIDTH[kind]) for joint, kind, start in rows}
 

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import TrajectoryError, distinct_texts
-from robot_ik.files import write_atomically
 from robot_ik.geometry import Array
 from robot_ik.kernels import kinematics
 from robot_ik.kernels.tree import BALL, FREE, SLIDE
@@ -27,7 +26,6 @@ from robot_ik.motion.timing import minimum_jerk
 from robot_ik.motion.trajectory import (
     Trajectory,
     checked_samples,
-    csv_table,
     require_positive,
     sample_count,
 )
@@ -52,7 +50,7 @@ CONE_ROUNDS = 4
 """Rounds in which balls that leave their cone come to rest at more keys."""
 
 CONE_POINTS = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 33))
-"""Points of a segment at which a ball joint is compared with its cone."""
+"""Points of a segment, 0 to 1, at which a ball joint is compared with its cone."""
 
 UNIT_LENGTH = 1e-12
 """A quaternion whose length differs from 1 by less is not normalised, so its bits are kept."""
@@ -148,9 +146,10 @@ def _heading(wxyz: Array) -> float:
 class Keyframes:
     """A smooth motion through joint vectors at given times, without solving between them.
 
-    It starts and ends at rest, or runs as a loop. Hinges and slides stay between the two keys
-    beside them, and balls stay in their cone. If the last key of a loop differs from the first in
-    position and heading of the free base, each round starts where the last one ended: a walk.
+    It starts and ends at rest, or runs as a loop. Hinges and slides stay between the keys before
+    and after them, and balls stay in their cone. If the last key of a loop differs from the first
+    in position and heading of the free base, each round starts at the end of the last round, as in
+    a walk.
 
     Attributes:
         robot: The robot.
@@ -341,20 +340,16 @@ class Keyframes:
         return Keyframes(self.robot, times, rows)
 
     def save_csv(self, path: Path | str) -> None:
-        """Write a header (t, a column for each number of q) and one row a key, in full precision.
+        """Write a row for each key, as ``Trajectory.save_csv`` does.
 
         Raises:
             OutputError: The folder is missing or not writable.
         """
-        rows = np.column_stack([self.times, self.q]).tolist()
-        text = csv_table(["t", *column_names(self.robot)], rows)
-        write_atomically(Path(path), text)
+        Trajectory(self.times, self.q, column_names(self.robot)).save_csv(path)
 
     @classmethod
     def load_csv(cls, path: Path | str, robot: Robot, *, loop: bool = False) -> Keyframes:
-        """Read a file of ``save_csv``, ``Trajectory.save_csv`` or ``robot-ik figure``.
-
-        Lines that begin with # and columns that are not joints are skipped.
+        """Read any recording of the robot. Each row is a key.
 
         Raises:
             ConfigError: The file is not such a table, a joint has no column, or a cell is not a
@@ -369,7 +364,7 @@ class Keyframes:
         return np.array(self.q[-1]) if t >= self.duration else self.at(t)
 
     def _stride(self) -> tuple[slice, Displacement] | None:
-        """Return the free base in q, and what a round adds to it."""
+        """Return the free base in q, and the displacement that a round adds to it."""
         where = free_base(self.robot)
         if where is None or len(self.q) < 2:
             return None
@@ -397,7 +392,7 @@ class Keyframes:
             for (
                 i,
                 v,
-            ) in outside:  # at rest at both keys the segment is the geodesic, which stays inside
+            ) in outside:  # with rest at both keys the segment is the geodesic, which stays inside
                 slopes[i : i + 2, v : v + 3] = 0.0
             self._cubic = self._coefficients(changes, gaps, slopes)
 
@@ -456,7 +451,7 @@ class Keyframes:
 
 
 def free_base(robot: Robot) -> slice | None:
-    """Return where the free joint that carries the robot is in q, None without one."""
+    """Return the slice of q with the free joint that carries the robot, None without one."""
     for kind, parent, qadr in zip(robot.tree.kind, robot.tree.parent, robot.tree.qadr, strict=True):
         if kind == FREE and parent < 0:
             return slice(int(qadr), int(qadr) + 7)

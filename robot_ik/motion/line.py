@@ -1,9 +1,9 @@
 """``line_move``: the tool moves on a straight line, and the joints follow without a jump.
 
-It has three passes. Trace: go along the line in small steps, each solved from the last. If a joint
-moves much, halve the step until it is clear whether this is a fast part or a jump. Time: run along
-the path as fast as the joints and the tool may. Sample: solve again at every tick and measure the
-result. If the sampling breaks a bound, slow down and sample again.
+It has three passes. The trace solves points along the line in small steps, each from the last. If a
+joint moves much, the step is halved until a fast part and a jump can be distinguished. The timing
+runs along the path as fast as the joints and the tool may. The sampling solves again at every tick
+and measures the result. If a sample exceeds a bound, the timing is slowed and sampled again.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ LARGEST_STEP_ANGLE = 0.03
 """rad. Largest rotation in a step of the trace."""
 
 FEWEST_STEPS = 8
-"""Steps of the shortest line. The timing needs derivatives there, too."""
+"""Steps of the shortest line. The timing needs derivatives of short lines, too."""
 
 SHORTEST_LAST_STEP = 1e-3
-"""A rest of the line below this share of a step is added to the step."""
+"""If the rest of the line is below this share of a step, it is added to the step."""
 
 LARGEST_JUMP = 0.1
 """rad or m. Largest change of a joint from one point of the path to the next."""
@@ -57,7 +57,7 @@ LARGEST_STRETCH = 4.0
 """Largest factor of the duration in one round."""
 
 SLOWEST = 64.0
-"""Largest factor of the duration. More does not come from the sampling."""
+"""Largest factor of the duration. A larger factor has another cause than the sampling."""
 
 COUNT_ROUNDING = 1e-12
 """Rounding error of a number of samples."""
@@ -140,7 +140,7 @@ def line_move(
             True if that is proven.
 
     Raises:
-        MotionBlockedError: The motion would touch: when, which pair, how deep.
+        MotionBlockedError: Parts would touch. The error has the time, the pair and the depth.
         TrajectoryError: A point on the line cannot be reached, or only by a jump of a joint. The
             message has the part of the line that is possible and the joint that is the cause.
         UnsupportedJointError: The robot has ball or free joints.
@@ -180,7 +180,7 @@ def line_move(
 
 @dataclass(frozen=True)
 class _Tracer:
-    """Solves points on one line, each from its neighbour.
+    """Solves points on one line, each from the point before it.
 
     Attributes:
         robot: The robot, whose joint names and limits appear in errors.
@@ -272,7 +272,7 @@ def _sampled(
         s = timing.progress(np.linspace(0.0, timing.duration, count + 1, dtype=np.float64))
         q = _solved(tracer, timing.s, path, s)
         trajectory = Trajectory(np.arange(count + 1) / rate, q, tracer.robot.joints)
-        # The joints move straight between samples, so the tool is farthest from the line half-way.
+        # The joints move straight between samples, so the tool is farthest from the line halfway.
         middles = [tracer.robot.forward(middle, tracer.frame) for middle in 0.5 * (q[1:] + q[:-1])]
         distance = max(tracer.line.distance(pose.position) for pose in middles)
         excess = max(

@@ -73,7 +73,7 @@ class Plan:
         solution: The solution of a goal in task space that was not met. None otherwise.
         goal_postures: Number of postures of the goal that the search could end at.
         iterations: Random postures that were drawn.
-        restarts: Searches that began anew.
+        restarts: Number of searches after the first.
         nodes: Nodes of the last trees: of the start, and of the goal.
         out_of_time: Whether the seconds of the budget ended before its iterations.
         seconds: Wall-clock time of the whole call.
@@ -130,7 +130,7 @@ class Plan:
         """Return the motion.
 
         Raises:
-            PlanningError: There is none. The message has the reason.
+            PlanningError: No motion was found. The message has the reason.
         """
         if self.trajectory is None:
             raise PlanningError(self.meaning, self, hint=_HINTS.get(self.status, ""))
@@ -168,7 +168,7 @@ def plan(
 ) -> Plan:
     """Return a motion from ``start`` to ``goal`` that keeps a margin from all collisions.
 
-    Joints that do not move the tool, such as those of a gripper, go straight from their value at
+    Joints that do not move the tool, such as those of a gripper, move straight from their value at
     the start to that at the goal. Attach a grasped part with ``scene.attached``.
 
     Args:
@@ -183,7 +183,7 @@ def plan(
         solver: Method for a goal in task space: a name in ``SOLVERS`` or a solver.
         tolerance: Of a goal in task space. Default 0.1 mm and 1 mrad.
         budget: Its iterations are random postures. A budget without seconds gives bit-equal
-            results for a seed. Its restarts are searches that begin anew.
+            results for a seed. Its restarts are the searches after the first.
         seed: Seed of the random postures.
         speed: Share of the velocity and acceleration limits to use, above 0 and up to 1.
         rate: Samples a second, Hz.
@@ -255,7 +255,7 @@ def _task_goals(goal: Any) -> list[Goal] | None:
 
 @dataclass(frozen=True, eq=False)
 class _Planner:
-    """Common arguments of the steps of one call of ``plan``.
+    """Arguments shared by the steps of one call of ``plan``.
 
     Attributes:
         robot: The robot.
@@ -278,7 +278,7 @@ class _Planner:
         rest = self.contacts.rest
         clearance = rest.clearance(q)
         if clearance.distance >= rest.margin:
-            # Only the pairs that may touch are in contact, and no way out was found.
+            # Only the pairs that may touch are in contact, and no retreat was found.
             clearance = self.contacts.collisions.clearance(q)
         return Plan(status, rest.margin, blocked=clearance, solution=solution)
 

@@ -1,4 +1,4 @@
-"""Start and goal of a plan: postures of a goal in task space, and the way out of a contact.
+"""Start and goal of a plan: postures of a goal in task space, and the retreat from a contact.
 
 A gripper that holds a part touches it. The pairs that may touch at an end (``allowed``) are left by
 a straight move of the tool, in which they come no nearer to each other than at the end. The search
@@ -26,10 +26,10 @@ from robot_ik.solvers.avoiding import moved_coordinates
 from robot_ik.solvers.base import Solver
 
 MAX_STARTS = 12
-"""Random starts from which other postures of a goal are searched."""
+"""Largest number of random starts from which other postures of a goal are searched."""
 
 MAX_POSTURES = 8
-"""Postures of a goal that are kept."""
+"""Largest number of postures of a goal."""
 
 SAME_POSTURE = 0.1
 """rad or m. Postures that differ by less in each joint are the same posture."""
@@ -38,14 +38,14 @@ RETREAT_STEP = 0.005
 """m. Length of a step of the tool out of a contact."""
 
 LONGEST_RETREAT = 0.2
-"""m. A contact that is not left after this way is not left in this direction."""
+"""m. Longest retreat in one direction."""
 
 DEEPENING = 5e-4
-"""m. Pairs that may touch come at most this much nearer to each other on the way out."""
+"""m. Pairs that may touch come at most this much nearer to each other during a retreat."""
 
 ROTATION_WEIGHT = 0.2
-"""m/rad. A rotation of the tool counts this much beside its position: arms with few joints cannot
-keep the orientation."""
+"""m/rad. Weight of the rotation of the tool. It is small, because arms with few joints cannot keep
+the orientation."""
 
 DAMPING = 1e-3
 """m. Damping of the steps, beside the singular values of the Jacobian."""
@@ -58,7 +58,7 @@ RETREATS = (
     ("tool", (0.0, 1.0, 0.0)),
     ("tool", (0.0, -1.0, 0.0)),
 )
-"""Directions of the way out, in axes of the tool or of the world: first back along the tool, then
+"""Directions of the retreat, in axes of the tool or of the world: first back along the tool, then
 up, then to the sides."""
 
 
@@ -68,7 +68,7 @@ class Contacts:
 
     Attributes:
         collisions: The condition of the plan.
-        rest: The same without the pairs that may touch at the ends.
+        rest: The condition without the pairs that may touch at the ends.
         allowed: The pairs that may touch at the ends only, without a margin. None without such
             pairs.
     """
@@ -90,7 +90,7 @@ class Contacts:
     def way_out(self, end: Array) -> Array | None:
         """Return postures (k, nq) from an end to a posture that keeps the margin of all pairs.
 
-        It is the end alone if that keeps the margin, and None if no way out was found.
+        It is the end alone if that keeps the margin, and None if no retreat was found.
         """
         if self.collisions.free(end):
             return end[None]
@@ -134,7 +134,7 @@ class Contacts:
         return bool(self.allowed.clearance(q).distance < before - DEEPENING)
 
     def _simplified(self, rows: Array) -> Array | None:
-        """Return a proven way (k, nq), its ends alone if they will do; None without a proof."""
+        """Return a proven path (k, nq), of its ends alone if possible; None without a proof."""
         shares = np.linspace(0.0, 1.0, len(rows))[1:-1, None]
         between = rows[0] + shares * (rows[-1] - rows[0])
         ends = rows[[0, -1]]
@@ -170,8 +170,8 @@ def goal_postures(
 ) -> GoalPostures:
     """Return free postures that meet goals.
 
-    Where a closed form is known, these are all its free branches. Other arms are solved from
-    several starts.
+    If a closed form is known, they are all its free branches. Other arms are solved from several
+    starts.
 
     Args:
         robot: The robot.
@@ -208,7 +208,7 @@ def _other_solutions(
     rng = np.random.default_rng(seed)
     solutions = []
     for _ in range(MAX_STARTS):
-        problem.seed = int(rng.integers(1 << 31))  # else each solve restarts at the same postures
+        problem.seed = int(rng.integers(1 << 31))  # otherwise all solves draw the same postures
         other_start = start.copy()
         other_start[moved] = problem.robot.sample(rng)[moved]
         solution = problem.solve(problem.robot.apply_couplings(other_start))

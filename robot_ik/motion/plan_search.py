@@ -20,39 +20,39 @@ from robot_ik.kernels.block import Block
 from robot_ik.motion.certificate import proof_memory
 
 RESERVE = 0.003
-"""m. Samples of an edge keep this beside the margin: then nearly all edges can be proven."""
+"""m. Samples of an edge keep the margin plus this, so that nearly all edges can be proven."""
 
 RESERVE_SHARES = (1.0, 0.25, 0.0)
 """Shares of the reserve, one for each search in turn. A passage may need a small reserve."""
 
 RESOLUTION = 1.0 / 12.0
-"""rad or m. Largest distance of two samples of an edge. The samples only find most contacts
-cheaply: every edge of a path is proven."""
+"""rad or m. Largest distance of two samples of an edge. The samples find most contacts at a low
+cost. Every edge of a path is proven afterwards."""
 
 LONGEST_EDGE = 1.0
 """rad or m. Longest edge of a tree."""
 
 FIRST_ITERATIONS = 1024
-"""Iterations after which the first search begins anew. A new search is often quicker than an old
-one. Each time when all shares of the reserve have been tried, the number is doubled."""
+"""Iterations after which a new search replaces the first. A new search is often quicker than a long
+one. After all shares of the reserve have been tried, the number is doubled."""
 
 MAX_DOUBLINGS = 8
-"""Doublings of the iterations. More would not fit the trees."""
+"""Largest number of doublings of the iterations. The trees have no room for more."""
 
 MAX_NODES = 16_384
-"""Nodes of a tree. A full tree ends its search."""
+"""Largest number of nodes of a tree. A full tree ends its search."""
 
 SLICE = 64
 """Iterations between two checks of the time: some milliseconds."""
 
 SHORTCUTS = 100
-"""Shortcuts that are tried."""
+"""Largest number of shortcuts that are tried."""
 
 PATIENCE = 25
-"""Shortcuts that fail one after the other before the path counts as short."""
+"""Failed shortcuts in sequence after which the path counts as short."""
 
 MAX_CORNERS = 512
-"""Corners of a path while it is shortened."""
+"""Largest number of corners of a path while it is shortened."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +60,9 @@ class SearchResult:
     """Result of ``search_path``.
 
     Attributes:
-        corners: (k, nq) the path, whose edges are proven. None if none was found.
+        corners: (k, nq) the path, whose edges are proven. None if no path was found.
         iterations: Random postures that were drawn.
-        restarts: Searches that began anew.
+        restarts: Number of searches after the first.
         nodes: Nodes of the last trees: of the start, and of the goals.
         out_of_time: Whether the seconds ended before the iterations.
     """
@@ -130,7 +130,7 @@ class _Search:
         jit.announce(tree_search.grow_trees, "the path search")
 
     def _rooms(self, postures: Array) -> Array:
-        """Return the distance (n,) of postures (n, nq) beyond the margin, up to two reserves."""
+        """Return the distance (n,) beyond the margin of postures (n, nq), up to two reserves."""
         address = self.edges.nested["samples"].address
         distances = np.zeros(len(postures))
         nearest = np.zeros(len(postures), dtype=np.int64)

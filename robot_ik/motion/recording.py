@@ -10,14 +10,13 @@ import contextlib
 import csv
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from robot_ik.errors import ConfigError, MissingExtraError, OutputError
-from robot_ik.geometry import Pose
+from robot_ik.motion.joint_table import JointTable, Moment
 from robot_ik.ports import Array, Closing
 
 SUFFIXES = (".csv", ".mcap")
@@ -26,40 +25,14 @@ SUFFIXES = (".csv", ".mcap")
 FRAME = "world"
 """Frame of the goals in an MCAP file."""
 
-_GOAL = ("goal_x", "goal_y", "goal_z", "goal_qw", "goal_qx", "goal_qy", "goal_qz")
-"""Columns of the goal: position in metres, then the quaternion."""
-
 Measured = Callable[[], Mapping[str, float]]
 """Returns the last measured joint positions by joint name, rad for hinges and metres for slides."""
 
 
-@dataclass(frozen=True, eq=False)
-class Moment:
-    """One row of a recording.
-
-    Attributes:
-        now: Time since the start of the recording, seconds.
-        commanded: Commanded positions (n,), rad for hinges and metres for slides.
-        measured: Measured positions (n,), in the same units.
-        goal: Goal in the world.
-        text: Event at this time. Empty if there is none.
-        robot: Index of the robot, if several stand side by side.
-    """
-
-    now: float
-    _: KW_ONLY
-    commanded: Array | None = None
-    measured: Array | None = None
-    goal: Pose | None = None
-    text: str = ""
-    robot: int = 0
-
-
 class Recording(Closing):
-    """A file that takes moments until it is closed.
+    """A file to which moments are written until it is closed.
 
-    If the file cannot be written any more, as on a full disk, it is removed. A partial file would
-    be damaged.
+    If writing fails, as on a full disk, the file is removed, because a partial file is invalid.
 
     Args:
         path: The file.
@@ -113,25 +86,15 @@ class Recording(Closing):
 class TableRecording(Recording):
     """A CSV file with one row per moment. Cells of unknown values are empty."""
 
-    def __init__(self, path: Path, joints: Sequence[str]) -> None:
+    def __init__(self, path: Path, table: JointTable) -> None:
         super().__init__(path, "w")
-        self._blank = [""] * len(joints)
+        self._table = table
         self._rows = csv.writer(self._file, lineterminator="\n")
-        names = [f"{kind}.{joint}" for kind in ("commanded", "measured") for joint in joints]
         with self._removed_on_error():
-            self._rows.writerow(["time_s", "robot", *names, *_GOAL, "text"])
+            self._rows.writerow(table.header)
 
     def _write(self, moment: Moment) -> None:
-        commanded = self._cells(moment.commanded)
-        measured = self._cells(moment.measured)
-        goal = [""] * len(_GOAL)
-        if moment.goal is not None:
-            goal = [*moment.goal.position.tolist(), *moment.goal.wxyz.tolist()]
-        start = [float(moment.now), moment.robot]
-        self._rows.writerow([*start, *commanded, *measured, *goal, moment.text])
-
-    def _cells(self, positions: Array | None) -> list[Any]:
-        return self._blank if positions is None else positions.tolist()
+        self._rows.writerow(self._table.row(moment))
 
 
 _PARTS = {
@@ -178,14 +141,15 @@ _INFO = 20
 class McapRecording(Recording):
     """An MCAP file with the topics ``/joint_commands``, ``/joint_states``, ``/goal``, ``/rosout``.
 
-    If several robots stand side by side, the topics of robot 1 are below ``/robot_1``, and so on.
+    If there are several robots side by side, the topics of robot 1 are below ``/robot_1``, and so
+    on.
     """
 
-    def __init__(self, path: Path, joints: Sequence[str]) -> None:
+    def __init__(self, path: Path, table: JointTable) -> None:
         from mcap_ros2.writer import Writer  # of the extra `record`
 
         super().__init__(path, "wb")
-        self._joints = list(joints)
+        self._joints = list(table.joints)
         self._begin = time.time_ns()
         with self._removed_on_error():
             self._writer: Any = Writer(self._file)
@@ -249,7 +213,7 @@ def require_recording(path: Path) -> None:
         MissingExtraError: The suffix is ``.mcap``, but the extra ``record`` is not installed.
     """
     if path.suffix not in SUFFIXES:
-        problem = f"the format is not clear from the name {path.name!r}"
+        problem = f"the name {path.name!r} has no known suffix"
         allowed = " or ".join(SUFFIXES)
         raise ConfigError(problem, file="command line", key="--record", allowed=allowed)
     if path.suffix == ".mcap":
@@ -259,14 +223,15 @@ def require_recording(path: Path) -> None:
             raise MissingExtraError("mcap_ros2", "record", "an MCAP file") from reason
 
 
-def open_recording(path: Path, joints: Sequence[str]) -> Recording:
+def open_recording(path: Path, joints: Sequence[str], extra: Sequence[str] = ()) -> Recording:
     """Return a recording in the format of the file's suffix.
 
     The recording is a context manager, which closes the file.
 
     Args:
         path: The file, ``.csv`` or ``.mcap``.
-        joints: Names of the joints, in the order of the positions.
+        joints: Names of the positions, in the order of the vectors.
+        extra: Names of further columns of a CSV file.
 
     Raises:
         ConfigError: The suffix belongs to no supported format.
@@ -275,7 +240,7 @@ def open_recording(path: Path, joints: Sequence[str]) -> Recording:
     """
     require_recording(path)
     kind = TableRecording if path.suffix == ".csv" else McapRecording
-    return kind(path, joints)
+    return kind(path, JointTable(joints, extra))
 
 
 class RecordingSink:

@@ -39,7 +39,7 @@ class ManualSource:
         self._goal = goal
 
     def poll(self, now: float) -> Goals | None:  # noqa: ARG002  # the interface of all sources
-        """Return the latest goal, None before the first."""
+        """Return the latest goal, None before the first goal."""
         return self._goal
 
 
@@ -161,7 +161,7 @@ class CurveSource:
 
 
 class RandomSource:
-    """Reachable poses in sequence: those of random joint angles inside the limits.
+    """Reachable poses in sequence: the poses of random joint angles inside the limits.
 
     Args:
         robot: The robot.

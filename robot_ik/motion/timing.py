@@ -1,4 +1,4 @@
-"""Timing along a path, as functions of numbers: profiles of a straight line, and curved paths.
+"""Timing along a path, as functions of numbers: profiles of straight lines, and curved paths.
 
 A path is a curve ``q(s)`` with ``s`` from 0 to 1. A straight line in joint space needs one velocity
 bound and one acceleration bound for ``s`` (``trapezoid``, ``quintic``). A curved path needs bounds
@@ -26,10 +26,10 @@ STILL = 1e-9
 """A joint that moves less than this share of the fastest joint does not bound d²s/dt²."""
 
 SLOWDOWN_MARGIN = 1.002
-"""Factor by which a slowdown aims below a measured bound, so that few rounds are needed."""
+"""Additional factor of a slowdown, so that few rounds are needed."""
 
 MAX_SLOWDOWNS = 12
-"""Rounds of slowing a sampled motion down until it keeps its bounds."""
+"""Largest number of rounds that slow a sampled motion down until it keeps its bounds."""
 
 
 def minimum_jerk(phase: ArrayLike) -> Array:

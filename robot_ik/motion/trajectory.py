@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,10 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robot_ik.config import LARGEST_NUMBER, is_number, read_csv, shown
+from robot_ik.config import shown
 from robot_ik.errors import ConfigError, TrajectoryError, UnsupportedJointError, distinct_texts
 from robot_ik.files import write_atomically
 from robot_ik.geometry import Array, is_real, numbers
+from robot_ik.motion.joint_table import COMMANDED, TIME, csv_text, read_positions
 from robot_ik.motion.timing import PROFILES
 from robot_ik.robot import Robot, require_robot
 
@@ -28,15 +26,10 @@ LIMIT_ROUNDING = 1e-9
 """rad or m. By rounding, a solution at a limit may be this far beyond it."""
 
 MAX_SAMPLES = 10_000_000
-"""Samples of a move: more than a day at 100 Hz."""
+"""Largest number of samples of a move: more than a day at 100 Hz."""
 
 COUNT_ROUNDING = 1e-12
 """Relative rounding error of a duration, which must not add a sample."""
-
-_TIME_COLUMNS = ("time_s", "t")
-_ROBOT_COLUMN = "robot"
-_COMMANDED = re.compile(r"commanded\.(.+)$|(.+)_commanded$")
-"""Columns of commands in a recording and in the table of a reach."""
 
 
 def sample_count(duration: float, rate: float) -> int:
@@ -163,8 +156,8 @@ def checked_samples(
 class Trajectory:
     """Joint vectors at increasing times, with straight lines between the samples.
 
-    Straight lines stay inside joint limits and never exceed the largest velocity. Their corners are
-    as sharp as the sampling is coarse, so plan at the rate at which you send.
+    Straight lines stay inside joint limits and never exceed the largest velocity. A coarse sampling
+    has sharp corners, so plan at the rate at which you send.
 
     Attributes:
         times: Seconds (n,), strictly increasing, n >= 1. Read-only.
@@ -268,7 +261,7 @@ class Trajectory:
         return np.asarray(np.diff(self.q, axis=0) / np.diff(self.times)[:, None])
 
     def save_csv(self, path: Path | str) -> None:
-        """Write a header (time_s, joint names) and one row a sample, in full precision.
+        """Write a row for each sample, in full precision. The positions are commanded ones.
 
         Raises:
             OutputError: The folder is missing or not writable.
@@ -277,84 +270,26 @@ class Trajectory:
 
     def csv_text(self) -> str:
         """Return the text that ``save_csv`` writes."""
-        rows = np.column_stack([self.times, self.q]).tolist()
-        return csv_table([_TIME_COLUMNS[0], *self.joints], rows)
+        header = [TIME, *(COMMANDED + joint for joint in self.joints)]
+        return csv_text(header, np.column_stack([self.times, self.q]).tolist())
 
     @classmethod
     def load_csv(cls, path: Path | str, joints: Sequence[str] = ()) -> Trajectory:
-        """Read a file of ``save_csv``, a recording, or the table of a reach.
-
-        Lines that begin with # are skipped. If the file has columns of commands
-        (``commanded.JOINT``, ``JOINT_commanded``), only these are read, without the rows in which
-        they are empty.
+        """Read any recording: the commanded positions, or the measured ones if there are no others.
 
         Args:
             path: The file.
-            joints: Names of the columns to read, in this order. Empty for all.
+            joints: Names of the joints to read, in this order. Empty for all.
 
         Raises:
             ConfigError: The file is missing or is not such a table. The message names the line.
         """
         source = Path(path)
-        rows = [(k, row) for k, row in enumerate(read_csv(source, "the motion"), 1) if row]
-        rows = [(k, row) for k, row in rows if not row[0].startswith("#")]
-        head = [cell.strip() for cell in rows[0][1]] if rows else []
-        if len(head) < 2 or head[0] not in _TIME_COLUMNS:
-            allowed = "time_s,joint names"
-            raise ConfigError("is not a trajectory", file=source, key="line 1", allowed=allowed)
-        matches = {k: _COMMANDED.match(name) for k, name in enumerate(head)}
-        commanded = {k: match[1] or match[2] for k, match in matches.items() if match}
-        if joints:
-            commanded = {}
-            columns = _named_columns(head, joints, source)
-        else:
-            columns = commanded or dict(enumerate(head[1:], 1))
-        kept = [
-            (k, row)
-            for k, row in rows[1:]
-            if not commanded or len(row) != len(head) or any(row[c] for c in commanded)
-        ]
-        samples = [_numbers(row, [0, *columns], len(head), source, k) for k, row in kept]
-        if not samples:
-            allowed = "a row of numbers"
-            raise ConfigError("has no samples", file=source, key="line 2", allowed=allowed)
-        if commanded and head[1] == _ROBOT_COLUMN and len({row[1] for _, row in kept}) > 1:
-            problem = "is of several robots"
-            raise ConfigError(problem, file=source, key=_ROBOT_COLUMN, allowed="of one robot")
-        table = np.array(samples)
+        positions = read_positions(source, joints)
         try:
-            return cls(table[:, 0], table[:, 1:], columns.values())
+            return cls(positions.times, positions.q, positions.joints)
         except TrajectoryError as error:
             raise ConfigError(str(error), file=source) from error
-
-
-def _named_columns(head: Sequence[str], joints: Sequence[str], file: Path) -> dict[int, str]:
-    """Return the columns of joints by their index, or raise ``ConfigError`` for missing ones."""
-    missing = [name for name in joints if name not in head]
-    if missing:
-        more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
-        raise ConfigError(f"no column {missing[0]!r}{more}", file=file, key="line 1")
-    return {head.index(name): name for name in joints}
-
-
-def csv_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a header and rows of text and numbers as CSV, with numbers in full precision."""
-    stream = io.StringIO()
-    csv.writer(stream, lineterminator="\n").writerows([head, *rows])
-    return stream.getvalue()
-
-
-def _numbers(
-    row: list[str], columns: Sequence[int], width: int, file: Path, line: int
-) -> list[float]:
-    """Return the numbers in columns of a row of ``width`` cells, or raise ``ConfigError``."""
-    if len(row) == width and all(is_number(row[k]) for k in columns):
-        values = [float(row[k]) for k in columns]
-        if all(abs(value) <= LARGEST_NUMBER for value in values):  # not NaN
-            return values
-    allowed = f"{width} cells, joints as numbers up to {LARGEST_NUMBER:g}"
-    problem = f"got {shown(','.join(row))}"
-    raise ConfigError(problem, file=file, key=f"line {line}", allowed=allowed)
 
 
 def joint_move(
@@ -388,7 +323,7 @@ def joint_move(
 
     Raises:
         TrajectoryError: Wrong length, a number that is not finite, or a goal outside the limits.
-        MotionBlockedError: The motion would touch: when, which pair, how deep.
+        MotionBlockedError: Parts would touch. The error has the time, the pair and the depth.
         UnsupportedJointError: The robot has ball or free joints.
     """
     first = joint_vector(robot, start, "start")
@@ -424,15 +359,15 @@ def joint_move(
 def certified_trajectory(
     trajectory: Trajectory, robot: Robot, collisions: CollisionAvoidance | None
 ) -> Trajectory:
-    """Return a trajectory with its certificate; without a condition the trajectory as it is.
+    """Return a trajectory with its certificate; without a condition the same trajectory.
 
     Raises:
-        MotionBlockedError: The motion would touch.
+        MotionBlockedError: Parts would touch.
         OptionError: The condition is for another robot.
     """
     if collisions is None:
         return trajectory
-    # Here, because they load the kernels of collision checks, 50 ms.
+    # Imported here, because they load the kernels of collision checks: 50 ms.
     from robot_ik.collision.avoidance import require_same_robot
     from robot_ik.motion.certificate import certify
 

@@ -36,10 +36,10 @@ LONGEST_CUT = 0.5
 """rad or m. Longest part of an edge that a cut replaces. A longer cut saves little time."""
 
 CUTS = 7
-"""Lengths of a cut that are tried, each half the one before."""
+"""Number of lengths of a cut that are tried, each half of the length before."""
 
 CUT_POINTS = 9
-"""Points of a cut that are checked before the whole motion is proven."""
+"""Number of points of a cut that are checked before the whole motion is proven."""
 
 EDGE_KNOTS = 24
 """Knots of the timing on a straight part: with fewer the speed is far below its bound."""
@@ -94,7 +94,7 @@ def waypoint_move(
 
 
 def joined(parts: Sequence[Trajectory], certified: bool) -> Trajectory:
-    """Return trajectories one after the other; each begins where the one before ends.
+    """Return one trajectory from several; each begins at the end of the one before.
 
     Args:
         parts: Trajectories of the same joints, from rest to rest.
@@ -112,7 +112,7 @@ def joined(parts: Sequence[Trajectory], certified: bool) -> Trajectory:
 
 
 def _without_repetition(corners: Array) -> Array:
-    """Return the corners (k, nq) without those that equal the one before."""
+    """Return the corners (k, nq) without repetitions of the corner before."""
     kept = np.concatenate([[True], np.abs(np.diff(corners, axis=0)).max(axis=1) > SAME_CORNER])
     if not kept[-1]:
         # The goal is exact: it replaces the corner before it, but not the start.

@@ -1,1 +1,1 @@
-"""Reachability maps: in which poses a frame of an arm can stand, cell by cell."""
+"""Reachability maps: which poses a frame of an arm can reach, cell by cell."""

@@ -19,7 +19,7 @@ UNREACHABLE, NOT_FOUND, TOUCHING, REACHED = range(4)
 
 # m. Clearances are measured up to this.
 FARTHEST_CLEARANCE = 0.1
-# Free branches of a pose that one byte can count.
+# Largest number of free branches of a pose that one byte can count.
 _MAX_BRANCHES = 255
 # A pivot of the Gram matrix at or below this is zero.
 _ZERO_PIVOT = 1e-300
@@ -28,8 +28,8 @@ _ZERO_PIVOT = 1e-300
 # forms.
 CELLS = Layout(
     "ReachabilityCells",
-    checked="bool",  # collisions count
-    missed="int",  # status of a pose without a branch: UNREACHABLE or NOT_FOUND
+    checked="bool",  # whether collisions count
+    no_branch="int",  # status of a pose without a branch: UNREACHABLE or NOT_FOUND
     swept="int",  # coordinate in q of the joint that is fixed at several values; -1 without one
     node="int",  # node that carries the frame
     margin="float",  # m
@@ -55,7 +55,7 @@ open_form = FORM.open
 
 @inlined
 def is_within_reach(cells, positions, cell):
-    """Return whether the frame may stand at a position."""
+    """Return whether the frame may reach a position."""
     offset = so3.subtract(so3.read_vector(positions, cell, 0), so3.read_vector_at(cells.reach, 0))
     return so3.dot(offset, offset) <= cells.reach[3] * cells.reach[3]
 
@@ -156,7 +156,7 @@ def sweep_pose(cells, run, forms, positions, cell, orientation):
             cells.best_manipulability = max(cells.best_manipulability, manipulability_at(cells))
     if free > 0:
         return REACHED, min(free, _MAX_BRANCHES)
-    return TOUCHING if touching else cells.missed, 0
+    return TOUCHING if touching else cells.no_branch, 0
 
 
 @kernel
@@ -168,10 +168,10 @@ def sweep_cells(address, forms, collisions, positions, status, branches, manipul
         forms: (f,) addresses of the closed forms, one for each value of the swept joint.
         collisions: Block of ``collision.RUN``. Not read unless cells.checked.
         positions: (c, 3) centres of the cells.
-        status: Writes (c, o) UNREACHABLE … REACHED.
-        branches: Writes (c, o) numbers of free branches.
-        manipulability: Writes (c,) the largest manipulability of the free branches.
-        clearance: Writes (c,) the largest clearance of the free branches, m; NaN without one.
+        status: (c, o) written: UNREACHABLE … REACHED.
+        branches: (c, o) written: numbers of free branches.
+        manipulability: (c,) written: the largest manipulability of the free branches.
+        clearance: (c,) written: the largest clearance of the free branches, m; NaN without one.
     """
     cells = open_cells(address)
     run = open_collisions(collisions)

@@ -19,13 +19,13 @@ GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 """rad. Turn between neighbours of the spiral of directions."""
 
 MAX_DIRECTIONS = 10_000
-"""Directions of the approach axis."""
+"""Largest number of directions of the approach axis."""
 
 MAX_ROLLS = 360
-"""Rolls about the approach axis."""
+"""Largest number of rolls about the approach axis."""
 
 MAX_POSES = 4_000_000_000
-"""Poses of a map. The two tables of bytes of a larger map need more than 8 GB."""
+"""Largest number of poses of a map. The two tables of bytes of a larger map need more than 8 GB."""
 
 
 def require_count(name: str, value: object, largest: int) -> None:

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from robot_ik.collision.avoidance import CollisionAvoidance
 
 RESTARTS = 10
-"""Random starts of a pose after the first. More find a few more poses and take longer."""
+"""Random starts of a pose after the first. With more, a few more poses are found, more slowly."""
 
 POSE_JOINTS = 6
-"""Joints that a frame needs to stand in any pose."""
+"""Number of joints that a frame needs to reach any pose."""
 
 Bytes = NDArray[np.uint8]
 
@@ -45,7 +45,7 @@ class NumericMemory:
 
     Args:
         robot: The arm.
-        frame: Frame that stands in the poses; None for the tool.
+        frame: Frame that should reach the poses; None for the tool.
         rotations: (o, 3, 3) orientations of the frame.
         collisions: Condition that a solution must keep; None for no condition.
     """

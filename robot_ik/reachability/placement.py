@@ -1,4 +1,4 @@
-"""Base placement: where a robot has to stand to reach given poses.
+"""Base placement: the pose of the base from which a robot reaches given poses.
 
 For each direction that the robot may face, the places are a grid with the step of the map's cells.
 The cells of a pose relative to all places are one layer of the map, mirrored and shifted. So the
@@ -27,22 +27,22 @@ if TYPE_CHECKING:
     from robot_ik.reachability.reachability_map import ReachabilityMap
 
 MAX_YAWS = 720
-"""Directions that the robot may face: steps of half a degree."""
+"""Largest number of directions that the robot may face: steps of half a degree."""
 
 MAX_PLACES = 20_000_000
-"""Places of one direction. Poses that need more are hundreds of metres apart."""
+"""Largest number of places of one direction. Poses that need more are hundreds of metres apart."""
 
 MAX_TRIES = 10_000
-"""Places that inverse kinematics checks."""
+"""Largest number of places that inverse kinematics checks."""
 
 
 @dataclass(frozen=True, eq=False)
 class BasePlacement:
-    """Where a robot has to stand to reach poses.
+    """The pose of a base from which a robot reaches poses.
 
     Attributes:
         base: Pose of the robot's model in the room.
-        votes: Number of poses that are reached from there according to the map.
+        votes: Number of poses that are reached from this base according to the map.
         solved: (n,) whether inverse kinematics solves each pose, with the condition of the map.
         q: (n, nq) its solutions.
     """
@@ -71,7 +71,7 @@ def place_base(
     require_count("tries", tries, MAX_TRIES)
     if has_free_roll(reach_map.robot, reach_map.frame):
         raise ReachabilityMapError(
-            f"{reach_map.robot.name!r} has too few joints to stand in a pose",
+            f"{reach_map.robot.name!r} has too few joints to reach any pose",
             hint="a place for the base needs an arm of six joints or more",
         )
     if reach_map.collisions is None and np.isfinite(reach_map.clearance).any():
@@ -115,7 +115,7 @@ def _proposals(
 
 
 def _facing(yaw: float) -> Pose:
-    """Return the pose of a robot that stands at the origin and faces a direction."""
+    """Return the pose of a robot at the origin that faces a direction."""
     return Pose((0.0, 0.0, 0.0), (math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)))
 
 
@@ -134,7 +134,7 @@ def _votes(reach_map: ReachabilityMap, targets: Sequence[Pose]) -> tuple[Array, 
     rotations = np.array([pose.rotation for pose in targets])
     positions = np.array([pose.position for pose in targets])
     orientations = grid.orientation_of(rotations)
-    # Cells of the poses if the robot stood at the origin.
+    # Cells of the poses for a robot at the origin.
     at_origin = grid.cell_of(positions)
     # For a robot at (x, y) cells, a pose is in the cell at_origin - (x, y), which must be in the
     # grid.

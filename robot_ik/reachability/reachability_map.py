@@ -1,7 +1,7 @@
 """``ReachabilityMap``, and ``map_reachability`` that computes it.
 
     reach_map = rik.map_reachability(robot, cell=0.05, out="puma.zarr")
-    reach_map.index                  # (x, y, z) share of the directions in which the tool can come
+    reach_map.index                  # (x, y, z) share of the directions that the tool can reach
     reach_map.best_base(poses).base  # pose of the base from which the robot reaches all poses
 
 The map is a sample: a pose between two entries may differ from both. Solve it to be certain.
@@ -47,7 +47,7 @@ DEFAULT_ROLLS = 6
 """Turns about the approach axis: steps of 60 degrees."""
 
 MAX_THREADS = 1024
-"""Threads of one process."""
+"""Largest number of threads of one process."""
 
 QUANTITIES = {
     "index": "share of the directions that are reached",
@@ -82,20 +82,20 @@ _MEANING = {
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ReachabilityMap:
-    """In which poses a frame of an arm can stand, cell by cell.
+    """Which poses a frame of an arm can reach, cell by cell.
 
     All values are measured at the centres of the cells. Joint limits count. Collisions count if the
     map was computed with a condition on collisions.
 
     Attributes:
         robot: The arm.
-        frame: Name of the frame that stands in the poses.
+        frame: Name of the frame that should reach the poses.
         grid: The poses: cells in space times orientations.
         collisions: Condition that a branch must keep to be free; None for no condition.
         status: (x, y, z, o) number of ``ReachStatus`` of each pose.
-        branches: (x, y, z, o) number of free branches of each pose; of an arm of seven joints the
-            sum over the values of its swept joint, at most 255. 1 if ``method`` is "lm".
-        manipulability: (x, y, z) largest √det(J Jᵀ) of the free branches, metres and radians; of
+        branches: (x, y, z, o) number of free branches of each pose, at most 255; for an arm of
+            seven joints the sum over the values of its swept joint. 1 if ``method`` is "lm".
+        manipulability: (x, y, z) largest √det(J Jᵀ) of the free branches, metres and radians; for
             fewer than six joints √det(Jᵀ J).
         clearance: (x, y, z) largest clearance of the free branches, up to 0.1 m; NaN without one,
             and without a condition on collisions.
@@ -134,7 +134,7 @@ class ReachabilityMap:
 
         Args:
             path: The folder.
-            robot: The robot of the map. None loads it from where it was loaded for the map.
+            robot: The robot of the map. None loads it from the source stored in the map.
             collisions: The condition of the map. Only ``best_base`` needs it.
 
         Raises:
@@ -224,7 +224,7 @@ class ReachabilityMap:
         yaws: int = 24,
         tries: int = 50,
     ) -> BasePlacement:
-        """Return where the robot has to stand to reach poses of the frame.
+        """Return the pose of the base from which the robot reaches poses of the frame.
 
         The map is inverted: each pose votes for the places from which it is reached (Vahrenkamp,
         Asfour & Dillmann, 2013). Inverse kinematics then solves all poses from the places with the
@@ -258,16 +258,16 @@ def map_reachability(
     executor: Executor | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> ReachabilityMap:
-    """Compute in which poses a frame of an arm can stand.
+    """Compute which poses a frame of an arm can reach.
 
     An arm of six hinges of a known geometry is swept by its closed form: a pose that is not reached
-    is proven out of reach. Of seven hinges one is swept over 24 values. Other arms are solved by
-    ``lm`` from several starts. That takes much longer. An arm of fewer than six joints
-    cannot choose its roll: its map has one roll, and a solution with any roll counts.
+    is proven out of reach. For an arm of seven hinges one joint is swept over 24 values. Other arms
+    are solved by ``lm`` from several starts, which takes much longer. An arm of fewer than six
+    joints cannot choose its roll: its map has one roll, and a solution with any roll counts.
 
     Args:
         robot: The arm.
-        frame: Frame that stands in the poses; default the tool.
+        frame: Frame that should reach the poses; default the tool.
         cell: Edge length of a cell, m.
         directions: Number of directions of the frame's z axis.
         rolls: Number of turns of the frame about each direction; 1 for fewer than six joints.
@@ -288,7 +288,7 @@ def map_reachability(
     """
     require_robot(robot)
     if collisions is not None:
-        # Imported here, because it loads the kernels of collision checks, 50 ms.
+        # Imported here, because it loads the kernels of collision checks: 50 ms.
         from robot_ik.collision.avoidance import require_same_robot
 
         require_same_robot(robot, collisions)
@@ -335,7 +335,7 @@ class _Arrays:
         }
 
     def write(self, result: BlockResult) -> None:
-        """Keep the arrays of a block."""
+        """Store the arrays of a block."""
         for name, array in self._arrays.items():
             array[self._grid.blocks[result.block]] = getattr(result, name)
 

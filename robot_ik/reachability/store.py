@@ -79,7 +79,7 @@ class MapStore:
 
         Raises:
             MissingExtraError: zarr is not installed.
-            OutputError: The folder holds something else, or it cannot be written.
+            OutputError: The folder has other content, or it cannot be written.
         """
         zarr = _zarr()
         folder = Path(path)

@@ -37,7 +37,7 @@ METHODS = {
     "swept joint": f"closed forms with a joint fixed at {SWEPT_VALUES} values; nothing is proven",
     "lm": "damped least squares from several starts, one solution a pose; nothing is proven",
 }
-"""How the poses of a map are solved."""
+"""Methods that solve the poses of a map, with descriptions."""
 
 CELLS_PER_CALL = 8
 """Cells of one call of the kernel. A thread checks between two calls whether it must stop."""
@@ -70,12 +70,12 @@ class ArmForm:
 def arm_form(robot: Robot, frame: str | None, values: int = SWEPT_VALUES) -> ArmForm | None:
     """Return the closed forms with which a frame is swept; None if none is known.
 
-    Of an arm of seven hinges the last joint that leaves a closed form is fixed at ``values``
-    values, each in the middle of an equal part of its range.
+    For an arm of seven hinges, one joint is fixed at ``values`` values, each in the middle of an
+    equal part of its range: the last joint for which the other six have a closed form.
     """
     node, local = robot.attachment(frame)
     chain = robot.tree.ancestors(node)
-    # A closed form moves each joint by itself.
+    # A closed form moves each joint independently.
     is_coupled = bool(np.isin(robot.tree.coupled[:, 0], chain).any())
     form = None if is_coupled else recognise(robot.tree, node, local, full_pose=True)
     if form is not None:
@@ -133,7 +133,7 @@ class Sweep:
 
     Attributes:
         robot: The arm.
-        frame: Frame that stands in the poses; None for the tool.
+        frame: Frame that should reach the poses; None for the tool.
         grid: The poses.
         arm: The closed forms of the arm; None for a sweep by ``lm``.
         collisions: Condition that a branch must keep to be free; None for no condition.
@@ -189,7 +189,7 @@ class Sweep:
         )
 
     def fingerprint(self) -> str:
-        """Return a digest of everything that the results depend on, the program excepted."""
+        """Return a digest of all inputs of the results. The version of the program is not in it."""
         digest = hashlib.sha256()
         robot = self.robot
         model = robot.model if self.collisions is None else self.collisions.scene.model
@@ -249,7 +249,7 @@ class SweepMemory:
         }
         self._cells = cells.CELLS.allocate(sizes, arrays)
         self._cells.arrays["q"][...] = robot.home
-        self._cells["missed"] = cells.UNREACHABLE if arm.is_complete else cells.NOT_FOUND
+        self._cells["no_branch"] = cells.UNREACHABLE if arm.is_complete else cells.NOT_FOUND
         self._cells["node"] = node
         self._cells["swept"] = -1
         if arm.swept is not None:

@@ -115,5 +115,5 @@ def solver_name(given: str, file: RobotFile) -> str:
 
 
 def able_solvers(problem: Problem) -> tuple[str, ...]:
-    """Names of the methods that can try a problem."""
+    """Return the names of the methods that support a problem."""
     return tuple(name for name in SOLVERS if not SOLVERS[name]().unsupported(problem))

@@ -1,15 +1,16 @@
 """``PreparedAvoiding``: a prepared method whose solutions must be free of collisions.
 
-The method solves without regard to collisions. If its solution touches, another one is searched:
+The method solves without regard to collisions. If its solution touches, a free one is searched:
 
-    closed form      the nearest free branch. If none is free or singular, that is a proof.
+    closed form      the nearest free branch. If no branch is free and no branch is singular, it is
+                     proven that no free solution exists.
     seven hinges     first a closed form for each angle of the last joint, see ``swept.py``
     other methods    the same method from other starts, first near the start, then anywhere;
-                     between these tries limited steps lead a solution out of its collisions
+                     between these tries limited steps move a solution out of its collisions
 
-Only a solution that keeps the margin is CONVERGED. The compiled check decides. If it
-cannot, MuJoCo does. If none is found, limited steps lead to a free posture near the goal,
-``Solution.nearest_free``.
+Only a solution that keeps the margin is CONVERGED. The compiled check decides this. If its verdict
+is UNDECIDED, MuJoCo decides. If no solution is found, limited steps lead to a free posture near the
+goal, ``Solution.nearest_free``.
 """
 
 from __future__ import annotations
@@ -45,14 +46,14 @@ _MAX_STARTS = 200
 _SHARE_STEP = 0.25
 # Random restarts of the method from each start.
 _RESTARTS_EACH = 10
-# Limited steps lead one touching solution out each time after this number of starts. Restarts cost
-# less, but fail where nearly all solutions touch.
+# After each this many starts limited steps move one touching solution out of its collisions.
+# Restarts cost less, but fail where nearly all solutions touch.
 _RESTARTS_PER_LEAD = 10
-# Largest number of limited steps of one way out.
+# Largest number of limited steps that move one solution out of its collisions.
 _MAX_LIMITED_STEPS = 80
 # Largest change of a joint in a limited step, rad or m.
 _LARGEST_STEP = 0.2
-# m. A limited step leads touching parts out by this at most.
+# m. A limited step moves touching parts apart by this at most.
 _WAY_OUT = 0.02
 # m. Margin of limited steps beyond that of the condition: parts that touch are not free.
 _EXTRA_MARGIN = 1e-5
@@ -104,7 +105,7 @@ class PreparedAvoiding:
         return bool(verdict == collision.FREE)
 
     def run(self, problem: Problem, budget: Budget) -> Solution:
-        """Solve, and look for a free solution if the first one touches."""
+        """Solve, and search for a free solution if the first solution touches."""
         if self._swept is not None:
             swept = self._swept.run(problem, budget)
             if swept is not None:
@@ -139,7 +140,7 @@ class PreparedAvoiding:
         results: BatchResult,
         budget: Budget,
     ) -> None:
-        """Solve all rows, then look for free solutions of the rows that touch."""
+        """Solve all rows, then search for free solutions of the rows that touch."""
         if self._swept is not None:
             run_each(self, problem, targets, starts, results, budget)
             return
@@ -228,7 +229,7 @@ class PreparedAvoiding:
         return first
 
     def _lead_out(self, search: _Search, q: Array) -> Solution | None:
-        """Lead a posture (nq,) out of its collisions and towards the goals by limited steps.
+        """Move a posture (nq,) out of its collisions and towards the goals by limited steps.
 
         Returns:
             A free solution, or None. Then a free posture with the smallest cost so far is
@@ -274,9 +275,9 @@ class PreparedAvoiding:
         return self._step
 
     def _between(self, robot: Robot, start: Array, share: float, rng: np.random.Generator) -> Array:
-        """Return a posture on the way from ``start`` to a random one; only joints that matter move.
+        """Return a posture between ``start`` and a random one; only joints that move goals change.
 
-        Balls and free bases turn all the way: a share of a quaternion is no rotation.
+        Balls and free bases take their random values: a share of a quaternion is not a rotation.
         """
         q = start.copy()
         drawn = random_q(robot.tree, start, rng)

@@ -1,4 +1,4 @@
-"""``BoneSolver``: methods that give targets to joints as points (``kernels/bones.py``)."""
+"""``BoneSolver``: methods that treat joints as points with targets (``kernels/bones.py``)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _KIND_NAMES = {HINGE: "hinge", SLIDE: "slide", BALL: "ball", FREE: "floating"}
 
 @dataclass(frozen=True)
 class BoneSolver(IterativeSolver):
-    """A method that moves points and lets the joints follow.
+    """A method that computes targets of points, which the joints then approach.
 
     Class attributes:
         joint_kinds: Kinds of joints that it can turn into bones.
@@ -27,7 +27,7 @@ class BoneSolver(IterativeSolver):
     goals: ClassVar[tuple[type[Goal], ...]] = (PositionGoal,)
     joint_kinds: ClassVar[tuple[int, ...]] = (HINGE, BALL)
     several_goals: ClassVar[bool] = False
-    # A pass has no length that could be shortened: after an undo it would be the same pass.
+    # A pass cannot be shortened. After an undo the next pass would be the same.
     polish_undoes_steps: ClassVar[bool] = False
 
     def unsupported(self, problem: Problem) -> str:

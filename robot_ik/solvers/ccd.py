@@ -37,7 +37,7 @@ from robot_ik.kernels.tree import BALL
 from robot_ik.solvers.iterative import IterativeSolver, run_layout
 from robot_ik.solvers.options import option, options_layout
 
-# A shorter Σ w² (s − p) × (t − p) has no direction: the vectors are on one line. The bone stays.
+# A shorter Σ w² (s − p) × (t − p) has no direction: the vectors are collinear. The bone stays.
 _COLLINEAR = 1e-12
 
 
@@ -64,7 +64,7 @@ class CyclicCoordinateDescent(IterativeSolver):
     source: ClassVar[str] = "Wang & Chen, IEEE T-RA 1991"
     default_restarts: ClassVar[int] = 20
     goals: ClassVar[tuple[type[Goal], ...]] = (PositionGoal, OrientationGoal, PoseGoal)
-    # A sweep has no length that could be shortened: after an undo it would be the same sweep.
+    # A sweep cannot be shortened. After an undo the next sweep would be the same.
     polish_undoes_steps: ClassVar[bool] = False
 
 

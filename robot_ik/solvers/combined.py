@@ -1,6 +1,6 @@
 """``combined``: methods in turn, until one of them reaches the goal.
 
-A fast method that serves few problems can come before a general one. Aho (2000, section 7.2.4)
+A fast method for few problems can come before a general one. Aho (2000, section 7.2.4)
 solves with the recursive method where the Jacobian method failed. With ``hand_over`` each method
 starts where the method before it ended, as Wang & Chen (IEEE T-RA 7(4), 1991) start a minimisation
 where cyclic coordinate descent becomes slow (in Pađen 2011, table 1).
@@ -37,7 +37,7 @@ class Combined(Solver):
     title: ClassVar[str] = "methods in turn, until one reaches the goal"
     source: ClassVar[str] = "Aho 2000, section 7.2.4; Wang & Chen, IEEE T-RA 1991"
     partial_goals: ClassVar[bool] = True
-    # Those of any method. ``unsupported`` checks the methods.
+    # The features of all methods. ``unsupported`` checks the methods in use.
     capabilities: ClassVar[frozenset[str]] = frozenset(FEATURES)
 
     def __post_init__(self) -> None:

@@ -1,10 +1,10 @@
-"""FABRIK: forward and backward reaching over joint positions, on trees of real joints.
+"""FABRIK: forward and backward reaching over joint positions, on trees of hinges, slides and balls.
 
 Aristidou & Lasenby, FABRIK: A fast, iterative solver for the inverse kinematics problem, Graphical
-Models 73(5), 2011, algorithm 1 and section 4.2. Reaching forward, each joint rotates about its real
-axis inside its limits to where its bone is nearest to its target. Hinges also weigh the goal itself
-(``pull``, an addition of this library): the target of a point contains no error across the bone of
-a hinge.
+Models 73(5), 2011, algorithm 1 and section 4.2. Reaching forward, each joint rotates about its axis
+inside its limits until its bone is nearest to its target. Hinges also have a weight on the goal
+itself (``pull``, an addition of this library), because the target of a point contains no error
+across the bone of a hinge.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -17,9 +17,9 @@ from robot_ik.goals import Goal, PoseGoal, PositionGoal
 from robot_ik.kernels import so3
 from robot_ik.kernels.bones import (
     BONES,
-    asks_orientation,
     clear_step,
     distance,
+    has_orientation,
     link_points,
     locate_all,
     offset,
@@ -35,11 +35,11 @@ from robot_ik.solvers.options import option, options_layout
 
 # A chain is straight if no point is farther from its line than this share of its length.
 _STRAIGHT = 1e-6
-# How far a straight chain is bent before it reaches inwards, as a share of each bone. Any small
+# Displacement of the points of a straight chain that must bend, as a share of each bone. Any small
 # share works, because the next passes are exact.
 _BEND = 0.1
-# A goal at this share of the full length of a chain, or beyond, stretches the chain at once. The
-# passes would come nearer without end.
+# A goal at this share of the full length of a chain, or beyond, stretches the chain in one pass.
+# Otherwise the passes would approach it without end.
 _STRETCHED = 1.0 - 1e-9
 # A goal at this share of the length from the root has no direction.
 _AT_ROOT = 1e-9
@@ -94,7 +94,7 @@ open_run = RUN.open
 
 @inlined
 def pulled_point(tree, bones, k, c):
-    """Return where point ``c``, at its target, pulls node ``k``."""
+    """Return the position to which point ``c``, at its target, pulls node ``k``."""
     target = so3.read_vector(bones.target, c, 0)
     point = so3.read_vector(bones.point, k, 0)
     gap = distance(bones.target, c, bones, k)
@@ -105,7 +105,7 @@ def pulled_point(tree, bones, k, c):
 
 @inlined
 def posed_point(goals, search, bones, k, g):
-    """Return where node ``k`` is when the frame of goal ``g`` has its target pose."""
+    """Return the position of node ``k`` when the frame of goal ``g`` has its target pose."""
     # The rotation of the node is then R_target R_localᵀ.
     local = so3.read_vector(goals.local, g, 0)
     from_frame = -local[0], -local[1], bones.shift[k] - local[2]
@@ -119,7 +119,7 @@ def posed_point(goals, search, bones, k, g):
 def reach_back(tree, goals, search, bones):
     """Write the targets of all points, from the goals towards the roots.
 
-    A point with several children is pulled to the weighted mean of where they pull it.
+    A point with several children moves to the weighted mean of the positions to which they pull it.
     """
     nodes = tree.parent.shape[0]
     for index in range(goals.nodes.shape[0] - 1, -1, -1):
@@ -129,7 +129,7 @@ def reach_back(tree, goals, search, bones):
         while c >= 0:
             share = bones.share[c] / bones.share[k] if bones.share[k] > 0.0 else 0.0
             if share > 0.0:
-                if c >= nodes and asks_orientation(goals, search, c - nodes):
+                if c >= nodes and has_orientation(goals, search, c - nodes):
                     pulled = posed_point(goals, search, bones, k, c - nodes)
                 else:
                     pulled = pulled_point(tree, bones, k, c)
@@ -156,7 +156,7 @@ def root_of(bones, tip):
 def bend_straight_chains(tree, goals, search, bones):
     """Bend each chain that is straight with its goal on its line; return if a goal is too far.
 
-    Such a chain has no side to bend to, and would stay straight.
+    For such a chain no direction of bending is defined, so it would stay straight.
     """
     nodes = tree.parent.shape[0]
     too_far = False
@@ -193,7 +193,7 @@ def is_straight(bones, root, tip, line, length):
 
 @outlined
 def push_off_line(tree, world, bones, root, tip, line):
-    """Move the points between ``root`` and ``tip`` off their line, to where their hinges can go."""
+    """Move the points between ``root`` and ``tip`` off their line, as far as their hinges allow."""
     k = bones.parent[tip]
     while k >= 0 and k != root:
         side = side_of_line(tree, world, k, k, line)
@@ -224,10 +224,10 @@ def stretch_to_goal(tree, bones):
 
 @outlined
 def lacks_wrist(tree, goals, search, bones):
-    """Return whether the last joints before some goal cannot take its orientation alone."""
+    """Return whether the last joints before some goal cannot produce its orientation alone."""
     for g in range(goals.row.shape[0]):
         k = goals.node[g]
-        if k < 0 or not asks_orientation(goals, search, g):
+        if k < 0 or not has_orientation(goals, search, g):
             continue
         freedoms = 0
         while k >= 0:

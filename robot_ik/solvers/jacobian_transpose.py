@@ -29,7 +29,7 @@ from robot_ik.solvers.options import option, options_layout
 
 @dataclass(frozen=True)
 class JacobianTranspose(GuidedSolver):
-    """Many cheap steps that never diverge; joints far from the tip move most."""
+    """Many cheap steps that do not diverge. Joints far from the tip move most."""
 
     first_steps: int = option(
         600, "steps granted to the descent from the start", lower=1, upper=100_000

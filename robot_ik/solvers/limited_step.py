@@ -21,10 +21,10 @@ DETECTION = 0.05
 """m. Pairs nearer than this beyond the margin have a row in the step."""
 
 GAIN = 0.85
-"""Share of the distance beyond the margin that a step may use up."""
+"""Share of the distance beyond the margin that a step may use."""
 
 WAY_OUT = 0.002
-"""m. A step leads a pair that is nearer than the margin out by this at most.
+"""m. A step moves a pair that is nearer than the margin apart by this at most.
 
 It is the speed of a real arm that follows a goal: 0.2 m/s at 100 Hz.
 """
@@ -44,10 +44,10 @@ _STATUS = {
 
 
 class LimitedStep:
-    """A problem that is followed step by step, away from collisions.
+    """Single steps of a problem that keep away from collisions.
 
-    Goals of different priorities count by their weights only. It shares the memory of the problem,
-    and does not keep the problem.
+    Goals of different priorities count by their weights only. The object shares the memory of the
+    problem, and keeps no reference to the problem.
     """
 
     name = "limited step"
@@ -64,11 +64,11 @@ class LimitedStep:
         """Prepare the kernel.
 
         Args:
-            problem: Its goals are followed. Its present targets count in each step.
+            problem: The problem with the goals. Each step uses their current targets.
             collisions: The condition.
             largest_step: Largest change (nv,) of each degree of freedom in a step, rad or m.
             margin: Smallest allowed distance, m. None for that of the condition.
-            way_out: A step leads a pair that is nearer than the margin out by this at most, m.
+            way_out: A step moves a pair that is nearer than the margin apart by this at most, m.
         """
         self._robot = problem.robot
         self._collisions = collisions

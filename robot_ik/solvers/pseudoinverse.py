@@ -2,7 +2,7 @@
 
 Whitney (Resolved motion rate control of manipulators, IEEE T-MMS 10(2), 1969). The null space
 follows Liégeois (Automatic supervisory control of the configuration and behavior of multibody
-mechanisms, IEEE T-SMC 7(12), 1977): φ is the slope of what is wanted beside the goals. Goal halving
+mechanisms, IEEE T-SMC 7(12), 1977): φ is the gradient of a secondary objective. Goal halving
 is Aho's (Implementation of articulated mechanisms in computer animation, 2000, section 4.6): a step
 that does not end near its subgoal is undone, and half of it is tried.
 """
@@ -37,7 +37,7 @@ from robot_ik.solvers.options import option, options_layout
 if TYPE_CHECKING:
     from robot_ik.problem import Problem
 
-# What the null space is used for; the index of the option's text.
+# Objective of the null space: the index in the choices of the option.
 AIMS = ("none", "rest", "limits")
 NONE, REST, LIMITS = range(3)
 
@@ -45,13 +45,13 @@ NONE, REST, LIMITS = range(3)
 _UNLIMITED = 1e9
 # A quaternion with a smaller vector part than this is the identity.
 _NO_ROTATION = 1e-9
-# How far from its subgoal a halved step may end, in the units of the residual (rad).
+# Largest distance of the end of a halved step from its subgoal, in units of the residual (rad).
 _SUBGOAL_ERROR = 0.1
 
 
 @dataclass(frozen=True)
 class Pseudoinverse(GuidedSolver):
-    """The shortest step that solves the linear model; rough near singularities."""
+    """The shortest step that solves the linear model; large steps near singularities."""
 
     cutoff: float = option(
         1e-4,
@@ -102,8 +102,8 @@ open_run = RUN.open
 def set_aim(tree, goals, search, home, aim, code, gain):
     """Write gain · φ at q to ``aim``, shortened to the length of the residual.
 
-    So the null motion vanishes with the residual. It moves the tool in second order, and a
-    constant one would keep the goal from being met to many decimals.
+    So the null motion vanishes with the residual. It moves the tool in second order, so a constant
+    null motion would keep the error from becoming very small.
     """
     if code == NONE:
         for u in range(aim.shape[0]):
@@ -163,7 +163,7 @@ def away_from_limits(tree, q, dq):
 
 @outlined
 def keep_aim_inside(box, aim):
-    """Write 0 to ``aim`` where a joint is fixed, or at a bound that the aim leads out of."""
+    """Write 0 to ``aim`` for a joint that is fixed, or at a bound that the aim would exceed."""
     for u in range(aim.shape[0]):
         if box.side[u] != 0 or pushed_out(box.lower[u], box.upper[u], aim[u]) != 0:
             aim[u] = 0.0
@@ -221,7 +221,7 @@ def halve(tree, goals, search, work, share, halvings):
     """Halve search.step until it ends near its subgoal. Leaves q unchanged.
 
     ``share`` is the part of the full step. The subgoal removes the same part of the residual.
-    After the last halving the step is taken if it leads downhill.
+    After the last halving the step is taken if it reduces the cost.
     """
     step = search.step
     wanted = work.box.residual

@@ -1,11 +1,11 @@
-"""The recursive method: the chain is pulled by its end like a chain of rings.
+"""The recursive method: the end of the chain pulls the bones after it, from tip to root.
 
 From the tip, a bone that cannot reach the goal by a rotation is moved there. Its other end becomes
-the goal of the bone before it: on the circle in which the spheres of both bones intersect, else
-where the pull drags it. If the root would have to move, q stays as it was, bit for bit. Aho,
+the goal of the previous bone: on the circle in which the spheres of both bones intersect, else
+at the point to which it is dragged. If the root would have to move, q does not change. Aho,
 Implementation of articulated mechanisms in computer animation, University of Helsinki 2000, section
-4.3. A dragged bone stays where the bones before it can follow, which is an addition of this
-library: the published method loses some goals.
+4.3. A dragged bone stays within reach of the bones before it. This is an addition of this library:
+the published method does not reach some goals.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -75,7 +75,7 @@ def intersect_spheres(bones, e, b, p, radius):
     """Write the target of ``b`` where the spheres of two bones intersect; return if they do.
 
     One sphere has its centre at the target of ``e`` and the length of its bone as radius. The other
-    has its centre at ``p``. Of their circle this is the point nearest to where ``b`` is.
+    has its centre at ``p``. The target is the point of their circle nearest to ``b``.
     """
     bone = bones.length[e]
     line = offset(bones.target, e, bones, p)
@@ -98,7 +98,7 @@ def intersect_spheres(bones, e, b, p, radius):
 def drag_bone(bones, e, b, root, shortest, longest):
     """Write the target of ``b``: at the length of its bone from the target of ``e``.
 
-    It is on the way to where ``b`` is, but from ``shortest`` to ``longest`` metres from the root.
+    It is in the direction of ``b``, but from ``shortest`` to ``longest`` metres from the root.
     """
     bone = bones.length[e]
     end = so3.read_vector(bones.target, e, 0)

@@ -3,7 +3,7 @@
 Buss & Kim (Selectively damped least squares for inverse kinematics, J. Graphics Tools 10(3), 2005,
 pages 37-49). For each singular triple (u_i, σ_i, v_i) of J, with α_i = ⟨e, u_i⟩:
 
-    N_i = Σ_ℓ ‖u_{ℓ,i}‖                          wanted motion of the end effectors
+    N_i = Σ_ℓ ‖u_{ℓ,i}‖                          desired motion of the end effectors
     M_i = σ_i⁻¹ Σ_ℓ Σ_j |v_{j,i}| ‖∂s_ℓ/∂θ_j‖    bound of the motion that the joints would cause
     γ_i = min(1, N_i / M_i) γ_max                largest change allowed to this direction
     φ_i = ClampMaxAbs(σ_i⁻¹ α_i v_i, γ_i)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from robot_ik.problem import Problem
 
 _CONVERGED = Status.CONVERGED
-# A method with such a status was stopped; it did not fail.
+# Statuses of a method that a budget stopped.
 _STOPPED = (Status.ITERATION_LIMIT, Status.TIME_LIMIT)
 
 
@@ -72,7 +72,7 @@ class PreparedSequence:
 
     Args:
         name: Key of the solver in ``SOLVERS``.
-        problem: What the methods are prepared for.
+        problem: The problem for which the methods are prepared.
         attempts: The methods, in their order.
         hand_over: Each method starts from the best q of the methods before it, not from the start
             of the solve. All but the last make no random restarts.
@@ -108,7 +108,7 @@ class PreparedSequence:
     def _continue(
         self, problem: Problem, first: Solution, attempts: Sequence[Prepared], budget: Budget
     ) -> Solution:
-        """Try the other methods after ``first`` has failed, within what is left of the budget."""
+        """Try the other methods after ``first`` has failed, within the remaining budget."""
         if is_proven_best(attempts[0], first):
             return first
         if first.status is Status.UNREACHABLE and not self._later_improves(attempts):
@@ -205,26 +205,26 @@ class PreparedSequence:
         return not same_method or any(attempt.proves_best for attempt in attempts)
 
     def _costs(self, results: BatchResult) -> Array:
-        """(n,) weighted squares of the errors; below zero for a result that converged."""
+        """Return (n,) weighted squares of the errors; below zero for results that converged."""
         costs = ((results.error * self._weight) ** 2).sum(axis=1)
         costs[results.status == _CONVERGED] = -1.0
         return np.asarray(costs)
 
 
 def is_proven_best(attempt: Prepared, solution: Solution) -> bool:
-    """Return whether a solution misses its goal, with the proof that none meets it."""
+    """Return whether a solution did not converge and is proven to be the best."""
     return solution.status is Status.UNREACHABLE and attempt.proves_best
 
 
 def proven_best(results: BatchResult) -> NDArray[np.bool_]:
-    """Return which rows miss their goal, with a proven bound of the angle."""
+    """Return which rows did not converge and have a proven bound of the angle."""
     return np.asarray((results.status == Status.UNREACHABLE) & ~np.isnan(results.angle_bound))
 
 
 def remaining(
     budget: Budget, iterations: int, restarts: int, seconds: float, futile: bool
 ) -> Budget:
-    """Return what is left of a budget; no restarts if they are futile."""
+    """Return the rest of a budget; without restarts if they are futile."""
     spare = None if budget.restarts is None else max(0, budget.restarts - restarts)
     return Budget(
         iterations=max(0, budget.iterations - iterations),
@@ -236,12 +236,12 @@ def remaining(
 def shares(
     budget: Budget, rows: Ints, results: BatchResult, futile: Array
 ) -> list[tuple[Ints, Budget]]:
-    """Return the rows in groups with the same rest of the budget, and that rest.
+    """Return groups of rows with the same remaining budget, and this budget.
 
     Args:
         budget: For each row.
         rows: (k,) rows of the batch.
-        results: What the rows have used.
+        results: Results with the iterations and restarts that the rows have used.
         futile: (n,) whether restarts are futile.
     """
     if not len(rows):

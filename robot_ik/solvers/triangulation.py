@@ -92,7 +92,7 @@ def bone_direction(tree, search, bones, i, j, count, improved):
     direction = so3.scale(1.0 / length, offset(bones.point, c, bones, p))
     line = so3.subtract(so3.read_matrix_point(search.target, 0), so3.read_vector(bones.point, p, 0))
     reach = so3.norm(line)
-    if reach <= _NO_BONE:  # the rest is equally far from the target in all directions
+    if reach <= _NO_BONE:  # the target is at the joint, so no direction is better
         return direction
     line = so3.scale(1.0 / reach, line)
     along = so3.dot(direction, line)
@@ -113,7 +113,7 @@ def bone_direction(tree, search, bones, i, j, count, improved):
 def target_bone(tree, search, bones, i, j, count, improved):
     """Write targets for the end of the bone from path[i] to path[j], and for the points after it.
 
-    The points after it lie on the line from there to the target of the goal.
+    The points after it lie on the line from that end to the target of the goal.
     """
     anchor = so3.read_vector(bones.point, bones.path[i], 0)
     direction = bone_direction(tree, search, bones, i, j, count, improved)

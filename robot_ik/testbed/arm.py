@@ -20,6 +20,7 @@ from robot_ik.motion.trajectory import RecorderSink, Trajectory
 from robot_ik.ports import Array, VirtualClock
 from robot_ik.robot import Robot
 from robot_ik.robot_arm import RobotArm
+from robot_ik.schedule import Schedule, StoppableClock, regular
 from robot_ik.signals import ExitGuard
 from robot_ik.testbed.commands import ArmMode
 from robot_ik.testbed.problem_text import problem_text
@@ -224,8 +225,10 @@ class ArmLink:
     def _drive(self) -> None:
         period = 1.0 / self._arm.config.rate_hz
         last_reading = 0.0
-        due = time.monotonic()
-        while not self._over.is_set():
+        schedule = Schedule(StoppableClock(self._over))
+        for _ in schedule.ticks(regular(self._arm.config.rate_hz)):
+            if self._over.is_set():
+                break
             try:
                 self._cycle(period)
                 if time.monotonic() - last_reading > _TELEMETRY_PERIOD:
@@ -235,11 +238,6 @@ class ArmLink:
                 self._message = problem_text(error)
                 if isinstance(error, ArmStateError | HardwareError | MotionBlockedError):
                     self._mode = "hold"
-            due += period
-            if (rest := due - time.monotonic()) > 0.0:
-                self._over.wait(rest)
-            else:
-                due = time.monotonic()
 
     def _cycle(self, period: float) -> None:
         """Run one cycle of the bus with the newest joint angles."""

@@ -173,7 +173,7 @@ class SetExtraGoal(SetupCommand):
     name: Name
     on: bool
     priority: Priority = 0
-    """0 is served first."""
+    """Goals of priority 0 are met first."""
     weight: Weight = 1.0
     """Against goals of the same priority; 0 ignores the goal."""
 

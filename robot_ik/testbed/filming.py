@@ -19,8 +19,9 @@ from robot_ik.camera.targets import marker
 from robot_ik.camera.tracker import Tracker
 from robot_ik.errors import CameraError, ConfigError, ModelError
 from robot_ik.geometry import Pose
+from robot_ik.motion.joint_table import Moment
 from robot_ik.motion.keyframes import column_names
-from robot_ik.motion.recording import Moment, Recording, open_recording, require_recording
+from robot_ik.motion.recording import Recording, open_recording, require_recording
 from robot_ik.ports import Array, Image
 from robot_ik.robot import Robot, load_robot
 from robot_ik.robot_arm import open_robot
@@ -36,6 +37,17 @@ from robot_ik.workcell.films import open_sink
 from robot_ik.workcell.pictures import draw_observations
 from robot_ik.workcell.progress import Progress
 from robot_ik.workcell.scene import scene_for
+
+INSTANCE_COLUMNS = (
+    "method",
+    "status",
+    "iterations",
+    "error_m",
+    "error_rad",
+    "mean_solve_time_s",
+    "solved_share",
+)
+"""Further columns of a recording: the result of the last solve, and the statistics so far."""
 
 _SUBPIXEL_BITS = 4
 """Fractional bits of the coordinates that are drawn."""
@@ -157,7 +169,6 @@ def film(
     log: CommandLog,
     out: Path | None,
     *,
-    numbers: Path | None = None,
     record: Path | None = None,
     seconds: float | None = None,
     rate_hz: float = 30.0,
@@ -170,8 +181,7 @@ def film(
     Args:
         log: The command log.
         out: A film (.mp4, .mkv, .mov, .gif), the last picture (.png, .jpg), a folder, or None.
-        numbers: CSV file with a row for each instance of each picture.
-        record: File (.csv, .mcap) with angles and ball for other tools.
+        record: File (.csv, .mcap) with a row for each instance of each picture.
         seconds: Length of the film. None for that of the log.
         rate_hz: Pictures a second.
         size: Width and height, pixels.
@@ -210,13 +220,11 @@ def film(
                 recorder.draw(view)
                 if record is not None and rows is None:
                     names = column_names(session.robot)
-                    rows = stack.enter_context(open_recording(record, names))
+                    rows = stack.enter_context(open_recording(record, names, INSTANCE_COLUMNS))
                 if rows is not None and column_names(session.robot) == names:  # of one robot
                     _write_moments(rows, view)
             if progress is not None:
                 progress("", view.tick / tick_count)
-        if recorder is not None and numbers is not None:
-            recorder.save_numbers(numbers)
     if view is None:
         raise RuntimeError("the command log has no tick")
     return view
@@ -225,6 +233,21 @@ def film(
 def _write_moments(rows: Recording, view: View) -> None:
     """Write a row for each instance of a view."""
     for k, instance in enumerate(view.instances):
-        text = view.message if k == 0 else ""
-        robot = k + 1 if view.count > 1 else 0
-        rows.write(Moment(view.now, commanded=instance.q, goal=view.ball, text=text, robot=robot))
+        values = (
+            instance.method,
+            instance.status,
+            instance.iterations,
+            instance.error,
+            instance.angle,
+            instance.statistics.mean,
+            instance.statistics.solved,
+        )
+        moment = Moment(
+            view.now,
+            commanded=instance.q,
+            goal=view.ball,
+            text=view.message if k == 0 else "",
+            robot=k + 1 if view.count > 1 else 0,
+            extra=dict(zip(INSTANCE_COLUMNS, values, strict=True)),
+        )
+        rows.write(moment)

@@ -107,7 +107,7 @@ class InstanceView:
         xpos: (nbody, 3) positions of MuJoCo's bodies, world.
         xquat: (nbody, 4) their orientations, wxyz.
         status: How the last solve ended, or why nothing can be solved.
-        able: Whether its method can serve the goals.
+        able: Whether its method supports the goals.
         note: How its goals differ from those of the other instances.
         limited: Whether its joint limits hold.
         error: Metres between the tool and what the ball asks, by MuJoCo's kinematics.
@@ -171,7 +171,7 @@ class InstanceView:
 
     @property
     def summary(self) -> str:
-        """The result of the last solve in one line, or why the method cannot serve the goals."""
+        """The last result in one line, or why the method does not support the goals."""
         if not self.able:
             return self.status
         solved = f", {100.0 * self.statistics.solved:.0f} % solved" if self.statistics.count else ""
@@ -244,7 +244,7 @@ class Instance:
             robot: The robot, with the same joints.
             solver: The method.
             limited: Whether the joint limits hold.
-            refused: Why the method cannot serve the goals. Empty if it can.
+            refused: Why the method does not support the goals. Empty if it does.
             note: How its goals differ from those of the other instances.
             limb: The limb that the method moves alone, towards the ball. None: all goals are served
                 with all joints.
@@ -324,7 +324,7 @@ class Instance:
             self._solves = appended(self._solves, row, WINDOW)
 
     def _wanted(self, goals: RobotGoals, ball: Pose, solver: Solver) -> list[Goal]:
-        """Return the goals that the method serves."""
+        """Return the goals that the method supports."""
         if self._limb is None:
             wanted = goals.all(ball, solver)
         else:

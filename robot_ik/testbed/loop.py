@@ -5,10 +5,10 @@ from __future__ import annotations
 import dataclasses
 import logging
 import threading
-import time
 from collections.abc import Callable, Iterator
 
-from robot_ik.ports import short_switch_interval
+from robot_ik.ports import Clock, short_switch_interval
+from robot_ik.schedule import Schedule, StoppableClock, regular
 from robot_ik.testbed import commands
 from robot_ik.testbed.session import Session
 from robot_ik.testbed.view import View
@@ -66,30 +66,23 @@ def run(
     stop: threading.Event,
     *,
     every: int = 2,
-    now: Callable[[], float] = time.perf_counter,
+    clock: Clock | None = None,
 ) -> None:
     """Tick a session in real time and draw each ``every``-th view: the only loop of a front end.
 
-    It runs on absolute deadlines of the clock ``now`` (seconds) until ``stop`` is set, or ``draw``
-    returns False, which a closed window does. After a stall it continues at the normal rate.
+    It runs until ``stop`` is set, or ``draw`` returns False, which a closed window does. After a
+    stall it continues at the normal rate. ``clock`` is the machine's by default.
 
     An exception of ``draw`` ends a session without an arm. A session with an arm logs it, shows it
     as its message and continues, so that STOP and other commands still take effect.
     """
-    step = 1.0 / commands.RATE
-    due = now()
-    count = 0
+    schedule = Schedule(clock or StoppableClock(stop))
     if session.arm is not None:
         draw = _surviving(session, draw)
     with short_switch_interval():
-        while not stop.is_set():
-            session.tick()
-            if count % every == 0 and draw(session.view()) is False:
+        for _, k in schedule.ticks(regular(commands.RATE)):
+            if stop.is_set():
                 break
-            count += 1
-            due += step
-            rest = due - now()
-            if rest > 0.0:
-                stop.wait(rest)
-            else:
-                due = now()
+            session.tick()
+            if k % every == 0 and draw(session.view()) is False:
+                break

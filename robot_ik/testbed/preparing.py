@@ -202,7 +202,7 @@ class Preparer:
             return
         missing: dict[str, MethodChoice] = {}
         for choice, solver in zip(setup.choices, solvers, strict=False):
-            with contextlib.suppress(RobotIkError):  # ``prepare`` reports why it cannot serve them
+            with contextlib.suppress(RobotIkError):  # ``prepare`` reports the reason
                 if not is_compiled(goals.all(first_ball(robot), solver), solver):
                     missing[choice.method] = choice
         if missing:

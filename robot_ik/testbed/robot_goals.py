@@ -47,7 +47,7 @@ class ExtraGoal:
     Attributes:
         name: Its name on the page.
         on: Whether it counts.
-        priority: 0 is served first.
+        priority: Goals of priority 0 are met first.
         about: What it asks.
         weight: Against goals of the same priority.
     """
@@ -68,7 +68,7 @@ class Pin:
         position: (3,) world, m.
         wxyz: (4,) orientation that is kept. None: the frame may turn.
         weight: Against goals of the same priority.
-        priority: 0 is served first.
+        priority: Goals of priority 0 are met first.
     """
 
     frame: str

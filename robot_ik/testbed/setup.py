@@ -72,7 +72,7 @@ CURVE_PERIOD = 8.0
 """Seconds of ball time for one round of the curve."""
 
 _CURVE_METHOD = "dls"
-"""Method that tries the curve if the methods of the instances cannot serve the goals."""
+"""Method that tries the curve if the methods of the instances do not support the goals."""
 
 _CURVE_RADIUS = 0.15
 """Radius of the curve in extents of the model."""
@@ -262,7 +262,7 @@ class Ready:
         chosen: The robot with the tool, the joints and the stiffness of the setup.
         curve: The ball's path. The tool can follow it.
         course: The course that the ball follows. None: there is none.
-        refused: Why each instance's method cannot serve these goals. Empty if it can.
+        refused: Why each instance's method does not support these goals. Empty if it does.
         limbs: For each instance of a figure, the limb that its method moves alone. None: its method
             moves the whole robot.
         abilities: Of a figure that decides by itself. None: it does not.
@@ -461,7 +461,7 @@ def warm_drag(robot: Robot) -> None:
 
 
 def _tried(robot: Robot, goals: RobotGoals, solver: Solver, ball: Pose) -> str:
-    """Compile the kernels of the goals. Return why the method cannot serve them, or empty."""
+    """Compile the kernels of the goals. Return why the method does not support them, or empty."""
     try:
         wanted = goals.all(ball, solver)
         problem = Problem(robot, wanted, solver=solver, budget=BUDGET)
@@ -473,7 +473,7 @@ def _tried(robot: Robot, goals: RobotGoals, solver: Solver, ball: Pose) -> str:
 
 
 def _limb(robot: Robot, goals: RobotGoals, solver: Solver, ball: Pose) -> Limb | None:
-    """Return the limb of the tool, if the method can serve the ball's goal with it alone."""
+    """Return the limb of the tool, if the method supports the ball's goal with it alone."""
     with contextlib.suppress(RobotIkError):
         limb = Limb(robot)
         goal = replace(goals.main(ball), priority=0)
@@ -544,7 +544,7 @@ def _follows(robot: Robot, goals: RobotGoals, solver: Solver, curve: CurveSource
         try:
             solution = solve(robot, wanted, solver=solver, start=q, budget=BUDGET)
         except RobotIkError:
-            return True  # the method cannot serve these goals, so the curve does not matter
+            return True  # the method does not support these goals, so the curve does not matter
         q = solution.q
         error = solution.errors[0]
         if error.position > _CURVE_POSITION or error.angle > _CURVE_ANGLE:

@@ -1,8 +1,8 @@
 """The thirteen test courses of A00: goals that move a little in each frame.
 
 M. Aho, *Implementation of articulated mechanisms in computer animation*, University of Helsinki
-2000, section 7.2. The base is at the origin of the world. The links lie along z at home. What the
-thesis does not state is chosen here; ``Course.moves`` begins with what it states.
+2000, section 7.2. The base is at the origin of the world. The links lie along z at home. Values
+that the thesis does not state are chosen here. ``Course.moves`` begins with the stated motion.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ DIAGONAL = np.array([1.0, 1.0, 0.0]) / math.sqrt(2.0)
 """Axis of tests 6 to 9, stated."""
 
 SKEW = np.array([1.0, -1.0, 1.0]) / math.sqrt(3.0)
-"""Axis about which the orientation of test 10 turns, chosen."""
+"""Axis about which the orientation of test 10 rotates, chosen."""
 
 CIRCLE_STEP = 1.0
 """Degrees a frame of tests 1 to 5, 8, 10 and 13, chosen."""
@@ -41,7 +41,7 @@ LARGE_STEP = 5.0
 """Degrees a frame of test 9, chosen; the thesis states that it is larger."""
 
 SLOWNESS = 4.0
-"""Test 3: the orientation turns this many times slower than the goal, chosen."""
+"""Test 3: the orientation rotates this many times slower than the goal moves, chosen."""
 
 SIDE = 2.0 * X
 """Test 10: centre of its circle of 1 m, chosen."""
@@ -73,7 +73,7 @@ THESIS_RESULTS = {
     12: "as 11",
     13: "unsolved: J is square and singular",
 }
-"""What the thesis reports of its own solver."""
+"""Results of the thesis, by test."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,9 +84,9 @@ class Course:
         number: Its number in the thesis.
         robot: The chain.
         goal: The kind of goal, with the first target.
-        moves: What the goal does.
+        moves: Description of the motion of the goal.
         unit: Unit of ``at``: ``"°"`` of the goal's rotation, or ``"m"`` along its path.
-        at: (frames,) how far the goal has moved.
+        at: (frames,) distance or angle that the goal has moved.
         targets: One pose a frame.
     """
 
@@ -99,7 +99,7 @@ class Course:
     targets: tuple[Pose, ...]
 
     def place(self, frame: int) -> str:
-        """Return how far the goal has moved at a frame, such as ``"20.1°"``."""
+        """Return the distance or angle of the goal at a frame, such as ``"20.1°"``."""
         return f"{self.at[frame]:.4g}{self.unit}"
 
 
@@ -203,9 +203,9 @@ class _Circle:
         start: (3,) first position, seen from the centre, m.
         step: Degrees a frame.
         centre: (3,) m.
-        rotation: (3,) axis about which the orientation turns. None: there is no orientation.
+        rotation: (3,) axis about which the orientation rotates. None: the goal is a position.
         wxyz: (4,) first orientation. None for that of the world.
-        slowness: The orientation turns this many times slower than the position.
+        slowness: The orientation rotates this many times slower than the position.
     """
 
     joints: int

@@ -21,7 +21,7 @@ TOOL = "tip"
 """Frame that follows the ball."""
 
 SEGMENTS = 7
-"""Bones of the arm. One iteration of CCD turns one bone in the thesis, all of them here."""
+"""Bones of the arm. One iteration of CCD rotates one bone in the thesis, and all bones here."""
 
 LIMIT_DEG = 45.0
 """Joint limits about x and z in cases 3 and 4, degrees to both sides."""
@@ -67,7 +67,7 @@ class ArmCase:
 
     Attributes:
         number: 1 to 4.
-        curve: Whether the target moves on a curve. Else it is at a random place in each frame.
+        curve: Whether the target moves on a curve. Else it is at a random position in each frame.
         limited: Whether joints are limited.
     """
 
@@ -107,8 +107,8 @@ def method_options(method: str, gain: float = ALPHA) -> dict[str, Any]:
     if method != "ccd":
         options |= {"gain": gain, "alternative": True, "clamp": FREE, "max_step": FREE}
     if method == "dls":
-        # Our rows are lengths divided by the length scale of the goal. λ is a length here, so it
-        # is divided, too.
+        # The position rows are divided by the length scale of the goal. λ is a length here, so it
+        # is divided too.
         arm = make_arm(limited=False)
         scale = length_scale(arm, PositionGoal(TOOL, (0.0, 0.0, 0.0)))
         options |= {"damping": LAMBDA / scale, "max_step": MAX_STEP}
@@ -116,5 +116,5 @@ def method_options(method: str, gain: float = ALPHA) -> dict[str, Any]:
 
 
 def iterations_of(method: str, iterations: float) -> float:
-    """Return iterations as the thesis counts them: CCD turns one bone in an iteration."""
+    """Return iterations as the thesis counts them: CCD rotates one bone in an iteration."""
     return iterations * (SEGMENTS if method == "ccd" else 1)

@@ -13,6 +13,7 @@ from robot_ik.hardware.arm import Arm
 from robot_ik.hardware.arm_registers import shared_register
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.servo import Joint
+from robot_ik.motion.joint_table import Moment, table_text
 from robot_ik.motion.trajectory import Trajectory
 from robot_ik.workcell.guided_motion import playable
 from robot_ik.workcell.hand_calibration import require_limp
@@ -68,6 +69,12 @@ def outside(motion: Trajectory, config: ArmConfig) -> list[tuple[Joint, float]]:
     beyond = np.maximum(config.lower - motion.q, motion.q - config.upper).max(axis=0)
     pairs = zip(config.joints, beyond.tolist(), strict=True)
     return [(joint, excess) for joint, excess in pairs if excess > ALLOWED_OUTSIDE * joint.lever]
+
+
+def measured_table(motion: Trajectory) -> str:
+    """Return the CSV table of positions that were measured while a person guided the arm."""
+    samples = zip(motion.times.tolist(), motion.q, strict=True)
+    return table_text(motion.joints, (Moment(now, measured=q) for now, q in samples))
 
 
 def load_motion(path: Path, joints: Sequence[str], arm_joints: Sequence[str] = ()) -> Trajectory:

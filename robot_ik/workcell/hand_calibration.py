@@ -26,6 +26,7 @@ from robot_ik.hardware.calibration_file import Calibration, calibration_beside
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.lerobot_calibration import save_lerobot
 from robot_ik.hardware.servo import Sign
+from robot_ik.schedule import Schedule
 
 STILL_SAMPLES = 10
 """Number of samples in which the pose must not move."""
@@ -169,8 +170,8 @@ def _held_ticks(arm: Arm, sweep: Sweep, sample: Callable[[], None]) -> dict[int,
         OperatorError: A joint moved.
     """
     ticks = dict(sweep.now)
-    for _ in range(STILL_SAMPLES):
-        arm.clock.sleep_until(arm.clock.now() + STILL_PERIOD)
+    due = ((k * STILL_PERIOD, k) for k in range(1, STILL_SAMPLES + 1))
+    for _ in Schedule(arm.clock).ticks(due):
         sample()
         for drive in arm.config.drives:
             if abs(sweep.now[drive.id] - ticks[drive.id]) > STILL_TICKS:

@@ -18,6 +18,7 @@ from robot_ik.motion.recording import Recording, RecordingSink
 from robot_ik.ports import Array, Clock, JointSink, RealClock, VirtualClock
 from robot_ik.robot import Robot, load_robot
 from robot_ik.robot_arm import RobotArm, arm_collisions, open_robot, robot_of_arm
+from robot_ik.schedule import Schedule
 from robot_ik.workcell.arm_guard import guard_of
 
 if TYPE_CHECKING:
@@ -38,6 +39,9 @@ _HEADROOM = 1.3
 
 A servo that fell behind on a busy machine must be faster than the plan to catch up.
 """
+
+COUNT_ROUNDING = 1e-9
+"""Rounding error of a number of control cycles."""
 
 
 @dataclass(frozen=True)
@@ -279,20 +283,18 @@ class RobotSetup:
         """
         if self.arm is None:
             return
-        clock = self.clock
-        period = 1.0 / self.rate
-        begin = clock.now()
-        tick = 1
-        while tick * period <= seconds + 1e-9:
-            clock.sleep_until(begin + tick * period)
-            now = clock.now()
+        end = self.clock.now() + seconds
+        count = int(seconds * self.rate + COUNT_ROUNDING)
+        # The last command has just been sent, so the first repetition is one period later.
+        due = ((k / self.rate, k) for k in range(1, count + 1))
+        for now, _ in Schedule(self.clock).ticks(due):
             for sink in self.sinks:
                 sink.send(self.commanded, now)
             if until():
                 return
-            # Skip the cycles that a busy machine has missed.
-            tick = max(tick + 1, int((now - begin) / period))
-        clock.sleep_until(begin + seconds)
+            if now >= end:  # a busy machine was late
+                break
+        self.clock.sleep_until(end)
 
     def counters(self) -> dict[str, int]:
         """Return the counters of the bus by name. Empty without a bus."""

@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_ik.errors import ArmStateError, HardwareError, UnsafeCommandError
-from robot_ik.execution import Schedule
 from robot_ik.hardware import bus_row, open_arm, simulated_servos
 from robot_ik.hardware.arm import Arm, ArmState
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.watchdogs import stale_time
 from robot_ik.motion.timing import minimum_jerk
 from robot_ik.ports import Clock, RealClock, VirtualClock
+from robot_ik.schedule import Schedule, regular
 from robot_ik.workcell.arm_guard import ArmGuard
 from robot_ik.workcell.guided_motion import approach_profile
 from robot_ik.workcell.operator import Angles, Operator
@@ -122,12 +122,13 @@ def teleoperate(
         follower.enable()
     report = TeleopReport()
     schedule = Schedule(clock)
-    begin = schedule.origin
+    begin = clock.now()
     blend: Blend | None = None
     delays: list[float] = []
     try:
-        while not over() and (seconds is None or clock.now() - begin < seconds):
-            now = schedule.wait(report.ticks / rate, 1.0 / rate if report.ticks else 0.0)
+        for now, _ in schedule.ticks(regular(rate)):
+            if over() or (seconds is not None and now - begin >= seconds):
+                break
             report.ticks += 1
             if blend is None:
                 follower.read()
@@ -147,7 +148,6 @@ def teleoperate(
                 report.lost += 1
                 blend = None
                 _wait_for(operator, follower, patience)
-                schedule.origin = clock.now() - report.ticks / rate
                 continue
             if guard is None:
                 follower.send(blend(command, now), now)

@@ -12,7 +12,7 @@ from robot_ik.commands.main import main
 
 @pytest.fixture(scope="session")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """`bench` with two methods, of which one serves no poses, on two robots."""
+    """`bench` with two methods, of which one supports no poses, on two robots."""
     out = tmp_path_factory.mktemp("bench") / "new"
     arguments = (
         f"bench --solver analytic lm triangulation --robot puma560 panda --count 12 --out {out}"
@@ -23,5 +23,5 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def results(folder: Path) -> Results:
-    """What it found."""
+    """The results of this run."""
     return Results.model_validate_json((folder / "bench.json").read_bytes())

@@ -1,4 +1,4 @@
-"""The pages of what everything costs say what docs/performance.json says."""
+"""The performance pages have the numbers of docs/performance.json."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 DOCS = Path(__file__).parents[2] / "docs"
 
 
-def test_tables_are_what_was_measured() -> None:
+def test_tables_equal_the_measurements() -> None:
     spec = importlib.util.spec_from_file_location("performance", DOCS / "make" / "performance.py")
     assert spec is not None and spec.loader is not None
     pages = importlib.util.module_from_spec(spec)

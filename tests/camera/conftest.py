@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Measured:
-    """What was seen in one picture of the set, beside the truth."""
+    """The observation in one picture of the set, and the truth."""
 
     view: MarkerView
     seen: Observation
@@ -49,14 +49,14 @@ class Measured:
 
     @property
     def pose_error(self) -> Array:
-        """(6,) truth minus seen, along the camera's axes."""
+        """(6,) truth minus observation, along the camera's axes."""
         return self.view.pose.minus(self.seen.pose)
 
 
 def measure(
     distance: float, count: int, dictionary: str = "DICT_4X4_50", seed: int = 1
 ) -> list[Measured]:
-    """Renders and observes a standard set; fails when a marker is not found."""
+    """Render and observe a standard set. Fail if a marker is not found."""
     target = marker(7, STANDARD_SIZE, dictionary)
     result = []
     for number, view in enumerate(standard_set(distance, count, seed=seed, dictionary=dictionary)):
@@ -81,7 +81,7 @@ def standard() -> dict[float, list[Measured]]:
 
 @pytest.fixture(scope="session")
 def model_of() -> Callable[..., mujoco.MjModel]:
-    """``model_of(body, assets="")``: a model that stands about, from the inside of its world."""
+    """``model_of(body, assets="")`` returns a model with this content of its world body."""
 
     def model_of(body: str, assets: str = "") -> mujoco.MjModel:
         return mujoco.MjModel.from_xml_string(

@@ -35,14 +35,14 @@ def test_corners_of_the_standard_set_meet_the_target(standard: dict) -> None:
     assert abs(outward(errors, truth).mean()) <= 0.03
 
 
-def test_the_stated_sigma_is_honest(standard: dict) -> None:
+def test_the_stated_sigma_is_consistent(standard: dict) -> None:
     for rows in standard.values():
         actual = np.sqrt(np.mean([m.corner_error**2 for m in rows]))
         stated = np.sqrt(np.mean([m.seen.sigma**2 for m in rows]))
         assert 0.5 < actual / stated < 2.0
 
 
-def test_it_beats_opencvs_corner_operator(standard: dict) -> None:
+def test_corners_are_more_accurate_than_opencvs(standard: dict) -> None:
     """SUBPIX moves corners inwards. The fit of the print does not."""
     mine = []
     theirs = []
@@ -66,7 +66,7 @@ def test_it_beats_opencvs_corner_operator(standard: dict) -> None:
     ],
     ids=["soft", "noisy", "pale"],
 )
-def test_bad_pictures_cost_little(sensor: SensorModel, limit: float) -> None:
+def test_poor_pictures_have_little_effect(sensor: SensorModel, limit: float) -> None:
     errors = []
     for view in standard_set(0.5, 8, seed=2, sensor=sensor):
         (found,) = MarkerDetector("DICT_4X4_50").detect(view.image)
@@ -101,7 +101,7 @@ def test_motion_and_bloom_are_in_the_model(sensor: SensorModel, limit: float) ->
 
 
 @pytest.mark.parametrize("dictionary", ["DICT_5X5_50", "DICT_APRILTAG_36H11"])
-def test_other_dictionaries_are_as_good(dictionary: str) -> None:
+def test_other_dictionaries_are_equally_accurate(dictionary: str) -> None:
     errors = []
     detector = MarkerDetector(dictionary)
     for view in standard_set(1.0, 8, seed=3, dictionary=dictionary):
@@ -153,7 +153,7 @@ def test_far_starts_are_found() -> None:
         assert found.sigma < 0.1
 
 
-def test_a_speck_of_dirt_on_an_edge_hardly_matters() -> None:
+def test_dirt_on_an_edge_has_little_effect() -> None:
     image = crisp(200, 120)
     truth = np.array([[199.5, 119.5], [295.5, 119.5], [295.5, 215.5], [199.5, 215.5]])
     image[117:123, 240:250] = 255
@@ -179,7 +179,7 @@ def test_a_speck_of_dirt_on_an_edge_hardly_matters() -> None:
         ("elsewhere", crisp(200, 120), [[400, 300], [450, 300], [450, 350], [400, 350]]),
     ],
 )
-def test_a_failed_fit_gives_the_detectors_corners_and_says_so(
+def test_a_failed_fit_gives_the_detectors_corners_and_reports_it(
     name: str, image: np.ndarray, corners: list[list[float]]
 ) -> None:
     result = refined(image, corners)
@@ -205,12 +205,12 @@ def test_many_markers_at_once_are_as_each_alone() -> None:
     assert len(found) == 2
     together = refine_markers(image, found, [7, 7], "DICT_4X4_50", STRAIGHT)
     for corners, result in zip(found, together, strict=True):
-        alone = refined(image, corners)
-        assert result.pixels == pytest.approx(alone.pixels, abs=0.01)
+        single = refined(image, corners)
+        assert result.pixels == pytest.approx(single.pixels, abs=0.01)
     assert refine_markers(image, [], [], "DICT_4X4_50", STRAIGHT) == []
 
 
-def test_nothing_given_is_changed() -> None:
+def test_arguments_are_not_changed() -> None:
     image = crisp(200, 120)
     corners = np.array([[199.0, 119.0], [295.0, 119.0], [295.0, 215.0], [199.0, 215.0]])
     before = image.copy(), corners.copy()
@@ -219,7 +219,7 @@ def test_nothing_given_is_changed() -> None:
     assert (corners == before[1]).all()
 
 
-def test_a_strong_lens_is_undone() -> None:
+def test_a_strong_distortion_is_inverted() -> None:
     """The edges are curved by several pixels. A straight line would be wrong by more than one."""
     camera = CameraIntrinsics(640, 480, 420.0, 420.0, 319.5, 239.5, (-0.3, 0.09, 0.0, 0.0, 0.0))
     errors = []

@@ -65,7 +65,7 @@ def test_corners_start_at_the_printed_upper_left(roll_deg: float) -> None:
 @pytest.mark.parametrize(
     "dictionary", ["DICT_4X4_50", "DICT_5X5_50", "DICT_6X6_250", "DICT_APRILTAG_36H11"]
 )
-def test_ids_survive_a_bad_photograph(dictionary: str) -> None:
+def test_ids_are_read_from_a_poor_photograph(dictionary: str) -> None:
     rng = np.random.default_rng(1)
     ids = [3, 11, 17, 42]
     image = photographed(sheet(ids, dictionary), rng)
@@ -121,12 +121,12 @@ def test_a_blank_picture_is_empty() -> None:
         assert MarkerDetector().detect(np.full((480, 640, 3), value, np.uint8)) == []
 
 
-def test_an_unknown_dictionary_names_the_close_ones() -> None:
+def test_an_unknown_dictionary_gives_suggestions() -> None:
     with pytest.raises(CameraError, match=r"unknown .* 'DICT_5X5_5'; did you mean 'DICT_5X5_50'"):
         MarkerDetector("DICT_5X5_5")
 
 
-def test_dictionary_names_are_forgiving_about_case_and_prefix() -> None:
+def test_dictionary_names_need_neither_case_nor_prefix() -> None:
     assert dictionary_size("apriltag_36h11") == 587
     assert dictionary_size("5x5_50") == 50
     assert len({name.upper() for name in dictionary_names()}) == len(dictionary_names())
@@ -154,7 +154,7 @@ def test_marker_bits_have_a_black_border() -> None:
         ("DICT_APRILTAG_36H11", 3, (6, 19, 37, 57, 56, 39)),
     ],
 )
-def test_what_is_printed_is_the_same_with_every_opencv(
+def test_prints_are_the_same_with_every_opencv(
     dictionary: str, marker_id: int, rows: tuple[int, ...]
 ) -> None:
     """The next release of OpenCV must read sheets of the last one. These are the bits of 4.14."""
@@ -162,7 +162,7 @@ def test_what_is_printed_is_the_same_with_every_opencv(
     assert tuple(int("".join("01"[int(b)] for b in row), 2) for row in inner) == rows
 
 
-def test_the_quick_detection_finds_markers_that_are_easily_visible() -> None:
+def test_quick_detection_finds_easily_visible_markers() -> None:
     image = photographed(sheet([3, 11, 17]), np.random.default_rng(2))
     detector = MarkerDetector()
     full = detector.detect(image)

@@ -1,4 +1,4 @@
-"""Intrinsics against OpenCV's own projection, and through a file and back."""
+"""Intrinsics against OpenCV's projection, and written to a file and read back."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def points_in_view(rng: np.random.Generator, count: int = 50) -> np.ndarray:
 
 
 @given(cameras(), st.integers(0, 1000))
-def test_project_is_opencvs(camera: CameraIntrinsics, seed: int) -> None:
+def test_project_equals_opencvs(camera: CameraIntrinsics, seed: int) -> None:
     points = points_in_view(np.random.default_rng(seed))
     expected, _ = cv2.projectPoints(
         points, np.zeros(3), np.zeros(3), camera.matrix, np.array(camera.distortion or (0.0,) * 5)
@@ -57,7 +57,7 @@ def test_project_is_opencvs(camera: CameraIntrinsics, seed: int) -> None:
 
 
 @given(st.tuples(*[coefficient(0.05)] * 4), st.integers(0, 1000))
-def test_equidistant_is_opencvs_fisheye(k: tuple[float, ...], seed: int) -> None:
+def test_equidistant_equals_opencvs_fisheye(k: tuple[float, ...], seed: int) -> None:
     if not hasattr(cv2, "fisheye"):
         pytest.skip("this OpenCV has no fisheye module")
     camera = CameraIntrinsics(640, 480, 400.0, 405.0, 320.0, 240.0, k, "equidistant")
@@ -69,12 +69,12 @@ def test_equidistant_is_opencvs_fisheye(k: tuple[float, ...], seed: int) -> None
 
 
 @given(cameras())
-def test_unproject_undoes_project_to_1e_9(camera: CameraIntrinsics) -> None:
+def test_unproject_inverts_project_to_1e_9(camera: CameraIntrinsics) -> None:
     x, y = np.meshgrid(np.linspace(-0.5, 639.5, 14), np.linspace(-0.5, 479.5, 11))
     pixels = np.stack([x.ravel(), y.ravel()], axis=1)
     rays = camera.unproject(pixels)
     seen = np.isfinite(rays[:, 0])
-    # Wherever there is an inverse it is exact; in the middle of the picture there always is one.
+    # If an inverse exists, it is exact. In the middle of the picture it always exists.
     assert camera.project(rays[seen]) == pytest.approx(pixels[seen], abs=1e-6)
     assert np.isfinite(camera.unproject((camera.cx + 60.0, camera.cy - 60.0))).all()
     normalized = rays[seen, :2] * 0.5
@@ -149,7 +149,7 @@ def test_scaling_to_another_aspect_ratio_is_refused() -> None:
 @pytest.mark.parametrize(
     ("size", "hint"), [((1280, 960), r"scaled\(1280, 960\)"), ((1280, 720), "another aspect")]
 )
-def test_wrong_size_says_what_to_do(size: tuple[int, int], hint: str) -> None:
+def test_the_error_of_a_wrong_size_gives_advice(size: tuple[int, int], hint: str) -> None:
     with pytest.raises(CalibrationError, match=rf"640x480.*{size[0]}x{size[1]}(.|\n)*{hint}"):
         CAMERA.require_size(*size)
     CAMERA.require_size(640, 480)

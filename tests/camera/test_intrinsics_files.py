@@ -118,7 +118,7 @@ def test_plain_ros_files_are_read(tmp_path: Path, model: str, data: str, expecte
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("width: 3\n", "lacks the key image_width; it has width"),
+        ("width: 3\n", "lacks the key image_width; its keys: width"),
         ("just words", "it has no keys"),
         ("a: [1, 2\nb: }", "not valid YAML"),
         ("\x89PNG\x00\x01", "(not valid YAML|no keys)"),
@@ -143,7 +143,9 @@ def test_plain_ros_files_are_read(tmp_path: Path, model: str, data: str, expecte
         ),
     ],
 )
-def test_a_wrong_file_says_what_is_wrong(tmp_path: Path, text: str, message: str) -> None:
+def test_the_error_of_a_wrong_file_names_the_problem(
+    tmp_path: Path, text: str, message: str
+) -> None:
     path = tmp_path / "camera.yaml"
     path.write_text(text)
     with pytest.raises(CalibrationError, match=rf"{path}(.|\n)*{message}"):
@@ -187,7 +189,7 @@ def test_a_folder_that_does_not_exist_is_reported(tmp_path: Path) -> None:
         CAMERA.save(tmp_path / "no" / "camera.yaml")
 
 
-def test_a_file_with_an_unused_key_loads_and_says_so(
+def test_a_file_with_an_unused_key_loads_with_a_warning(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = tmp_path / "old.yaml"
@@ -197,7 +199,7 @@ def test_a_file_with_an_unused_key_loads_and_says_so(
         assert CameraIntrinsics.load(path) == CameraIntrinsics.load(path)
     lines = [record.message for record in caplog.records]
     assert len(lines) == 2
-    assert "the key edge_shift is not used any more" in lines[0]
+    assert "the key edge_shift is no longer used" in lines[0]
     assert "edge_shift" not in _saved_again(path)
 
 

@@ -28,10 +28,10 @@ def enlarged(image: np.ndarray, times: int = TIMES) -> np.ndarray:
 def test_reduced_pixels_are_where_they_were(times: int) -> None:
     # The grey level encodes the position of a pixel. The sizes are no multiples.
     across = np.tile(np.arange(200, dtype=np.uint8), (103, 1))
-    there = reduced(across, times)
-    assert there.shape == (103 // times, 200 // times)
-    columns = np.arange(there.shape[1], dtype=float)
-    assert from_reduced(columns, times) == pytest.approx(there[0].astype(float), abs=0.5)
+    reduced_points = reduced(across, times)
+    assert reduced_points.shape == (103 // times, 200 // times)
+    columns = np.arange(reduced_points.shape[1], dtype=float)
+    assert from_reduced(columns, times) == pytest.approx(reduced_points[0].astype(float), abs=0.5)
     assert to_reduced(from_reduced(columns, times), times) == pytest.approx(columns)
 
 
@@ -82,13 +82,13 @@ def test_a_board_in_an_enlarged_picture_keeps_its_corners(pattern: Pattern) -> N
     assert small is not None and large is not None
     assert len(large.ids) >= len(small.ids)
     true = STANDARD_CAMERA.project(pose.apply(large.points_board))
-    off = to_reduced(large.pixels, TIMES) - true
-    assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 0.06
+    errors = to_reduced(large.pixels, TIMES) - true
+    assert np.sqrt(np.mean(np.sum(errors**2, axis=1))) < 0.06
     assert large.blur == pytest.approx(TIMES * small.blur, rel=0.4)
 
 
 @pytest.mark.parametrize("at", [(1000, 1000), (-500, -500), (-300, 100), (100, 2000)])
-def test_corners_beside_the_picture_are_given_back(at: tuple[int, int]) -> None:
+def test_corners_outside_the_picture_are_returned(at: tuple[int, int]) -> None:
     rough = np.array([[0, 0], [100, 0], [100, 100], [0, 100]]) + np.array(at, dtype=float)
     (corners,) = refine_markers(
         np.full((480, 640), 128, np.uint8), [rough], [7], "DICT_4X4_50", STANDARD_CAMERA

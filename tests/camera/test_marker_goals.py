@@ -128,9 +128,9 @@ def test_an_unlisted_marker_never_becomes_a_goal() -> None:
         assert goals.last is None
 
 
-def test_a_lost_marker_means_hold_and_a_found_one_means_go() -> None:
-    here = marker_at(0.0, 0.0, 0.4)
-    goals = source_for(frame({7: here}, 0), frame({}, 1), frame({7: here}, 2))
+def test_a_lost_marker_gives_no_goal_until_it_is_found_again() -> None:
+    pose = marker_at(0.0, 0.0, 0.4)
+    goals = source_for(frame({7: pose}, 0), frame({}, 1), frame({7: pose}, 2))
     assert goals.poll(0.00) is not None
     assert goals.poll(0.03) is None
     assert goals.last is None
@@ -157,7 +157,7 @@ def test_two_copies_of_the_marker_mean_hold(caplog: pytest.LogCaptureFixture) ->
     assert "2 times" in caplog.text
 
 
-def test_a_photograph_gives_one_goal_for_ever() -> None:
+def test_a_photograph_gives_one_constant_goal() -> None:
     goals = source_for(*[frame({7: marker_at(0.0, 0.0, 0.4)})] * 3)
     goals.source.live = False  # type: ignore[misc]
     first = goals.poll(0.0)

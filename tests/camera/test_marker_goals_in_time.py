@@ -77,14 +77,14 @@ def wanted_x(time: float) -> float:
     )
 
 
-def test_a_goal_is_for_the_time_it_is_asked_for() -> None:
+def test_a_goal_is_predicted_for_the_requested_time() -> None:
     """Pictures are 60 ms old when they are processed; the goal is where the marker is by then."""
     goals = reported(sideways(30))
     for k in range(30):
         goal = goals.poll(k / 30 + 0.06)
     assert isinstance(goal, PoseGoal)
     assert goal.target.position[0] == pytest.approx(wanted_x(29 / 30 + 0.06), abs=1e-4)
-    later = goals.goal_at(29 / 30 + 0.10)  # no new picture: it goes on
+    later = goals.goal_at(29 / 30 + 0.10)  # no new picture: the prediction continues
     assert later is not None and later.target.position[0] == pytest.approx(
         wanted_x(29 / 30 + 0.10), abs=1e-4
     )
@@ -140,7 +140,7 @@ def test_goals_carry_the_weights_of_their_covariance_at_the_tool() -> None:
         assert goal.position_weight == pytest.approx(metres, abs=1e-3)
 
 
-def test_a_single_wild_pose_is_no_goal() -> None:
+def test_a_single_outlier_pose_is_no_goal() -> None:
     poses = sideways(20, speed=0.0)
     poses[12] = marker_at(0.0, 0.0, 0.4).plus(np.array([0.0, 0.0, 0.1, 0.0, 1.5, 0.0]))
     goals = reported(poses)
@@ -149,7 +149,7 @@ def test_a_single_wild_pose_is_no_goal() -> None:
     assert len(places) == 20 and np.ptp(places, axis=0).max() < 1e-6
 
 
-def test_what_is_done_when_the_marker_stays_lost() -> None:
+def test_policies_for_a_marker_that_stays_lost() -> None:
     park = PostureGoal(q=np.zeros(6))
     poses = [*sideways(5), *[None] * 100]
     for policy in (WhenLost(), WhenLost("park", 1.0, park), WhenLost("stop", 1.0)):
@@ -157,7 +157,7 @@ def test_what_is_done_when_the_marker_stays_lost() -> None:
         for k in range(5):
             assert isinstance(goals.poll(k / 30), PoseGoal)
         for k in range(5, 34):
-            assert goals.poll(k / 30) is None  # first of all: hold
+            assert goals.poll(k / 30) is None  # hold at first
         if policy.then == "stop":
             with pytest.raises(MarkerNotFoundError, match="marker 7 has given no goal for 1 s"):
                 goals.poll(35 / 30)
@@ -178,22 +178,22 @@ def test_what_is_done_when_the_marker_stays_lost() -> None:
         (("hold", 1.0, PositionGoal(position=(0, 0, 0))), "takes no goal"),
     ],
 )
-def test_a_policy_that_cannot_be_is_refused(arguments: tuple, said: str) -> None:
+def test_an_invalid_policy_is_rejected(arguments: tuple, said: str) -> None:
     with pytest.raises(CameraError, match=said):
         WhenLost(*arguments)
 
 
-def test_a_camera_on_the_arm_is_asked_where_it_was_when_the_picture_was_taken() -> None:
-    asked = []
+def test_the_pose_of_a_camera_on_the_arm_is_that_at_the_time_of_the_picture() -> None:
+    times = []
 
     def camera(time: float) -> Pose:
-        asked.append(time)
+        times.append(time)
         return Pose((0.3 + time, 0.1, 0.6), FACING)
 
     goals = reported(sideways(3, speed=-1.0))
     goals.pose_world_camera = camera
     places = [goals.poll(k / 30) for k in range(3)]
-    assert asked == [0.0, 1 / 30, 2 / 30]
-    # The camera goes one way, the marker in its picture the other: it lies still.
+    assert times == [0.0, 1 / 30, 2 / 30]
+    # The camera moves, and the marker moves the opposite way in its picture: it is at rest.
     assert all(goal is not None for goal in places)
     np.testing.assert_allclose(places[2].target.position, places[0].target.position, atol=1e-5)  # type: ignore[union-attr]

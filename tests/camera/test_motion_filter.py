@@ -48,7 +48,7 @@ def test_a_still_target_gives_the_mean_and_is_not_predicted(
     found, covariance, _ = still.predict(39 * PERIOD)
     np.testing.assert_allclose(found.minus(truth), mean, atol=2e-6)
     np.testing.assert_allclose(covariance, NOISE / 40, rtol=1e-3, atol=1e-12)
-    # Seen with the usual options: the prediction of a thing at rest is where it is, at any horizon.
+    # With default options the prediction of an object at rest is its position, at any horizon.
     now = usual.predict(39 * PERIOD)
     later = usual.predict(39 * PERIOD + 0.1)
     np.testing.assert_array_equal(now.pose.position, later.pose.position)
@@ -68,8 +68,8 @@ def test_constant_velocity_is_tracked_and_predicted_without_lag(
         tracked.update(t, Pose(velocity * t, rotation_exp(rate * t)), NOISE)
     t = 59 * PERIOD + ahead
     found = tracked.predict(t)
-    off = found.pose.minus(Pose(velocity * t, rotation_exp(rate * t)))
-    assert np.linalg.norm(off[:3]) < 1e-5 and np.linalg.norm(off[3:]) < 1e-3
+    error = found.pose.minus(Pose(velocity * t, rotation_exp(rate * t)))
+    assert np.linalg.norm(error[:3]) < 1e-5 and np.linalg.norm(error[3:]) < 1e-3
     np.testing.assert_allclose(found.velocity, [*velocity, *rate], atol=5e-3)
 
 
@@ -94,7 +94,7 @@ def test_the_covariance_stays_symmetric_and_positive_at_any_gaps(
     assert np.isfinite(kept.predict(time + 9.0).pose.minus(truth)).all()
 
 
-def test_the_covariance_is_honest() -> None:
+def test_the_covariance_is_consistent() -> None:
     """Normalised errors of a walk that is what the filter assumes: six degrees of freedom."""
     rng = np.random.default_rng(3)
     options = FilterOptions(process_noise=(0.5, 2.0), min_sigma=(0.0, 0.0))
@@ -106,8 +106,8 @@ def test_the_covariance_is_honest() -> None:
         for k in range(60):
             tracked.update(k * PERIOD, noisy(truth, rng), NOISE)
             found = tracked.predict(k * PERIOD)
-            off = found.pose.minus(truth)
-            squares.append(off @ np.linalg.solve(found.covariance, off))
+            error = found.pose.minus(truth)
+            squares.append(error @ np.linalg.solve(found.covariance, error))
             change = rng.normal(0.0, np.repeat(options.process_noise, 3)) * np.sqrt(PERIOD)
             truth = truth.plus(PERIOD * (rate + 0.5 * change))
             rate = rate + change
@@ -133,14 +133,16 @@ def test_an_outlier_is_left_out_and_a_marker_put_elsewhere_is_found_again() -> N
     away = Pose((0.2, 0.0, 0.5), rotation_exp([0.0, 2.0, 0.0]))
     assert tracked.update(10 * PERIOD, away, NOISE) is Update.OUTLIER
     assert tracked.predict(10 * PERIOD).pose.position[0] == 0.0
-    assert tracked.update(11 * PERIOD, Pose((0.0, 0.0, 0.5)), NOISE) is Update.TAKEN  # counts anew
-    said = [tracked.update((12 + k) * PERIOD, away, NOISE) for k in range(4)]
-    assert said == [Update.OUTLIER, Update.OUTLIER, Update.RESTARTED, Update.TAKEN]
+    assert (
+        tracked.update(11 * PERIOD, Pose((0.0, 0.0, 0.5)), NOISE) is Update.TAKEN
+    )  # the count restarts
+    updates = [tracked.update((12 + k) * PERIOD, away, NOISE) for k in range(4)]
+    assert updates == [Update.OUTLIER, Update.OUTLIER, Update.RESTARTED, Update.TAKEN]
     assert np.abs(tracked.predict(15 * PERIOD).pose.minus(away)).max() < 1e-9
 
 
-def test_what_is_too_quick_to_be_predicted_is_not() -> None:
-    """Back and forth from picture to picture: prediction would miss by more than holding does."""
+def test_fast_motions_are_not_predicted() -> None:
+    """Back and forth from picture to picture: prediction would increase the error."""
     tracked = MotionFilter()
     worst = 0.0
     for k in range(40):
@@ -166,11 +168,11 @@ def test_noise_of_the_depth_hides_no_motion_across_the_view(speed: float) -> Non
         worst.append(abs(ahead[0] - x - 0.1 * speed))
         if speed == 0.0:
             np.testing.assert_array_equal(ahead, tracked.predict(k / 15).pose.position)
-    # Held it would be 6 mm behind.
+    # Without prediction the error is 6 mm.
     assert np.mean(worst[10:]) < 1.2e-3
 
 
-def test_after_a_long_gap_it_starts_again_and_after_a_short_one_it_goes_on() -> None:
+def test_a_long_gap_restarts_the_filter_and_a_short_gap_does_not() -> None:
     for gap, what in ((0.4, Update.TAKEN), (1.5, Update.RESTARTED)):
         tracked = MotionFilter()
         for k in range(20):
@@ -181,7 +183,7 @@ def test_after_a_long_gap_it_starts_again_and_after_a_short_one_it_goes_on() -> 
 
 
 @pytest.mark.parametrize("broken", [np.eye(3), np.full((6, 6), np.nan), -np.eye(6)])
-def test_what_is_no_covariance_is_refused(broken: np.ndarray) -> None:
+def test_an_invalid_covariance_is_rejected(broken: np.ndarray) -> None:
     with pytest.raises(CameraError, match="covariance"):
         MotionFilter().update(0.0, Pose(), broken)
     with pytest.raises(CameraError, match="at nan s"):
@@ -190,7 +192,7 @@ def test_what_is_no_covariance_is_refused(broken: np.ndarray) -> None:
         MotionFilter().predict(0.0)
 
 
-def test_prediction_halves_the_error_of_66_ms_and_shakes_nothing_at_rest() -> None:
+def test_prediction_halves_the_error_of_66_ms_and_adds_no_noise_at_rest() -> None:
     """The table of the documentation: a hand at 0.2 m/s, 30 pictures a second, 0.3 mm of noise."""
     hand, still = compare_filters(hands=2, seconds=8.0)
     held, predicted = hand.T

@@ -1,4 +1,4 @@
-"""OpenCV's headless wheel has no windows: nothing here opens one, whatever wheel is installed."""
+"""No code opens a window of OpenCV, because its headless wheel has none."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Calibration patterns against OpenCV's own drawings and against pictures with exact truth."""
+"""Calibration patterns against OpenCV's drawings and against pictures with exact truth."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CHESSBOARD = ChessboardPattern(9, 6, 0.025)
 
 
 def drawn(pattern: Pattern, scale: float = 1000.0, margin: float = 0.0) -> np.ndarray:
-    """The pattern seen squarely, ``scale`` pixels per metre."""
+    """The pattern in a frontal view, ``scale`` pixels per metre."""
     boxes = pattern.black()
     boxes[:, :2] += margin - np.array(pattern.origin)
     width, height = (round((length + 2 * margin) * scale) for length in pattern.size)
@@ -36,7 +36,7 @@ def opencv_board(p: CharucoPattern) -> cv2.aruco.CharucoBoard:
 
 @pytest.mark.parametrize("legacy", [False, True])
 @pytest.mark.parametrize(("columns", "rows"), [(8, 6), (5, 7)])
-def test_a_charuco_board_is_opencvs(columns: int, rows: int, legacy: bool) -> None:
+def test_a_charuco_board_equals_opencvs(columns: int, rows: int, legacy: bool) -> None:
     # 28 px a square, 14 px a marker of 7 cells: every edge falls on a pixel's edge, in both
     # drawings.
     pattern = CharucoPattern(columns, rows, 0.028, 0.014, legacy=legacy)
@@ -58,10 +58,10 @@ def test_corners_of_a_chessboard_are_found_to_hundredths_of_a_pixel() -> None:
         true = STANDARD_CAMERA.project(pose.apply(found.points_board))
         errors.append(found.pixels - true)
         assert 0.6 < found.blur < 1.2
-    off = np.concatenate(errors)
-    assert len(off) == 108
-    assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 0.03
-    assert np.abs(off.mean(axis=0)).max() < 0.01
+    all_errors = np.concatenate(errors)
+    assert len(all_errors) == 108
+    assert np.sqrt(np.mean(np.sum(all_errors**2, axis=1))) < 0.03
+    assert np.abs(all_errors.mean(axis=0)).max() < 0.01
 
 
 def test_a_start_that_is_half_a_pixel_off_ends_at_the_same_corner() -> None:
@@ -90,7 +90,7 @@ def test_a_flat_grey_picture_has_no_corners() -> None:
         assert pattern.find(gray) is None
 
 
-def test_an_old_board_is_known_as_one() -> None:
+def test_an_old_board_is_recognized() -> None:
     old = CharucoPattern(8, 6, 0.03, 0.022, legacy=True)
     image = drawn(old, margin=0.02, scale=2000.0)
     assert CHARUCO.find(image) is None
@@ -98,14 +98,14 @@ def test_an_old_board_is_known_as_one() -> None:
 
 
 @pytest.mark.parametrize("said", [(10, 7), (6, 9), (8, 5)])
-def test_a_miscounted_chessboard_is_counted_anew(said: tuple[int, int]) -> None:
+def test_the_size_of_a_miscounted_chessboard_is_found(said: tuple[int, int]) -> None:
     image = drawn(CHESSBOARD, margin=0.02, scale=2000.0)
     other = fitting_pattern(ChessboardPattern(*said, 0.025), [image])
-    # Seen squarely 9x6 and 6x9 are one board; a part of a board is no board.
+    # In a frontal view 9x6 and 6x9 are the same board. A part of a board is not a board.
     assert other in (CHESSBOARD, ChessboardPattern(6, 9, 0.025)) or said == (6, 9)
 
 
-def test_most_pictures_say_how_a_chessboard_is_counted() -> None:
+def test_the_majority_of_pictures_decides_the_size_of_a_chessboard() -> None:
     odd, right = (
         drawn(ChessboardPattern(*n, 0.025), margin=0.02, scale=2000.0) for n in ((10, 6), (9, 6))
     )
@@ -129,7 +129,7 @@ def test_nothing_fits_an_empty_picture() -> None:
         (lambda: CharucoPattern(12, 9, 0.03, 0.022), "needs 54 markers; DICT_5X5_50 has 50"),
     ],
 )
-def test_patterns_that_cannot_be_are_refused(make: object, message: str) -> None:
+def test_impossible_patterns_are_rejected(make: object, message: str) -> None:
     with pytest.raises(CalibrationError, match=message) as caught:
         make()  # type: ignore[operator]
     assert caught.value.hint

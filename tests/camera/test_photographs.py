@@ -41,7 +41,7 @@ def test_the_markers_of_a_photograph_are_found_and_no_others() -> None:
         ("singlemarkersoriginal.jpg", [23, 40, 62, 98, 124, 203]),
         ("choriginal.jpg", list(range(17))),
     ):
-        assert [one.id for one in finder.observe(frame_of(gray_of(name))).markers] == ids
+        assert [marker.id for marker in finder.observe(frame_of(gray_of(name))).markers] == ids
 
 
 def test_no_dictionary_has_a_marker_on_a_chessboard() -> None:
@@ -59,7 +59,9 @@ def chessboards() -> list[CalibrationView]:
     return views
 
 
-def test_a_calibration_from_photographs_beats_opencvs(chessboards: list[CalibrationView]) -> None:
+def test_a_calibration_from_photographs_is_more_accurate_than_opencvs(
+    chessboards: list[CalibrationView],
+) -> None:
     theirs = opencv_rms([(gray_of(view.name), view.found) for view in chessboards])
     mine = calibrate(chessboards, (640, 480))
     assert mine.intrinsics.rms < min(0.2, 0.6 * theirs)
@@ -74,16 +76,18 @@ def test_markers_lie_where_the_saddles_of_their_board_say() -> None:
     board = CHARUCOS[0]
     corners = unique(find_corners(frame_of(gray), lens, board.dictionary))
     fitted = {marker_id: c.pixels for marker_id, c in corners.items()}
-    off = outward_of_saddles(gray, lens, board, fitted)
+    errors = outward_of_saddles(gray, lens, board, fitted)
     # The picture is decimated. Its blur is narrower than a pixel, which limits the accuracy.
-    assert len(off) >= 10 and abs(np.mean(off)) < 0.15
-    assert np.std(off) < 0.12
+    assert len(errors) >= 10 and abs(np.mean(errors)) < 0.15
+    assert np.std(errors) < 0.12
 
 
-def test_a_folder_of_photographs_is_judged_by_the_same_checks(tmp_path: Path) -> None:
+def test_a_folder_of_photographs_passes_the_same_checks(tmp_path: Path) -> None:
     for name in ("choriginal.jpg", "tutorial_camera_charuco.yml", "left01.jpg"):
         (tmp_path / name).write_bytes((FOLDER / name).read_bytes())
-    figures = {one.quantity: one for one in photographs(Effort(photographs=str(tmp_path)))}
-    assert [one.passed for one in figures.values()] == [True] * 4
+    figures = {
+        quantity.quantity: quantity for quantity in photographs(Effort(photographs=str(tmp_path)))
+    }
+    assert [quantity.passed for quantity in figures.values()] == [True] * 4
     assert figures["finds of any dictionary on 1 chessboards"].value == 0
     assert any("outside of where their chessboard puts them" in words for words in figures)

@@ -37,7 +37,7 @@ def rms(values: list[float]) -> float:
 
 
 def seen_by_opencv(pose: Pose, points: np.ndarray) -> np.ndarray:
-    """(n, 2) pixels by cv2.projectPoints: the independent oracle for the way into the picture."""
+    """(n, 2) pixels by cv2.projectPoints: the independent reference of the projection."""
     vector, _ = cv2.Rodrigues(pose.rotation)
     pixels, _ = cv2.projectPoints(
         points, vector, pose.position, CAMERA.matrix, np.array(CAMERA.distortion)
@@ -132,7 +132,7 @@ def test_depth_has_no_bias(standard: dict) -> None:
 
 
 def test_covariance_predicts_the_errors_of_the_standard_set(standard: dict) -> None:
-    """Mahalanobis distance per degree of freedom is 1 on average for honest covariances."""
+    """The mean Mahalanobis distance per degree of freedom is 1 for consistent covariances."""
     for distance, rows in standard.items():
         chi = [m.pose_error @ np.linalg.solve(m.seen.covariance, m.pose_error) / 6 for m in rows]
         assert 0.25 < np.mean(chi) < 4.0, f"{distance} m"
@@ -155,7 +155,7 @@ def test_covariance_is_the_scatter_of_repeated_trials(tilt_deg: float, distance:
         stated.append(np.diag(seen.covariance))
     ratio = np.std(errors, axis=0) / np.sqrt(np.mean(stated, axis=0))
     assert ratio == pytest.approx(np.ones(6), abs=0.5), ratio
-    # Not only the sizes: depth and tilt are correlated, and the covariance must know how.
+    # Depth and tilt are correlated, and the covariance must contain this correlation.
     empirical = np.cov(np.array(errors).T)
     chi = np.mean([e @ np.linalg.solve(empirical, e) for e in errors])
     assert chi == pytest.approx(6.0, rel=0.2)
@@ -220,7 +220,7 @@ def test_the_fit_is_as_good_as_scipys() -> None:
 
 
 @pytest.mark.parametrize("size", [0.0, -0.05, 50.0, float("nan")])
-def test_a_size_that_cannot_be_is_refused(size: float) -> None:
+def test_an_impossible_size_is_rejected(size: float) -> None:
     with pytest.raises(CameraError, match="marker size"):
         marker_points(size)
 
@@ -284,7 +284,7 @@ def test_a_cube_is_found_from_what_is_visible(seed: int) -> None:
         assert body.ambiguity == 0.0
 
 
-def test_a_board_is_better_than_one_marker_and_knows_how_good() -> None:
+def test_a_board_is_more_accurate_than_one_marker_and_states_its_covariance() -> None:
     rng = np.random.default_rng(2)
     noise = 0.03  # px, what the refinement leaves at 1 m
     single = []
@@ -325,7 +325,7 @@ def test_a_marker_that_contradicts_the_others_is_left_out() -> None:
         assert angle < np.deg2rad(0.4)
 
 
-def test_a_body_seen_by_one_marker_keeps_its_doubt() -> None:
+def test_a_body_seen_by_one_marker_stays_ambiguous() -> None:
     rng = np.random.default_rng(4)
     pose = Pose((0.0, 0.0, 5.0), quat_multiply(FACING, rotation_exp([0.5, 0.0, 0.0])))
     layout = {0: (0.05, Pose())}
@@ -355,7 +355,7 @@ def exact(body: MarkerTarget, pose: Pose) -> dict[int, Corners]:
     return corners
 
 
-def test_a_flat_board_far_away_keeps_its_doubt_and_a_cube_has_none() -> None:
+def test_a_distant_flat_board_stays_ambiguous_and_a_cube_is_not() -> None:
     pose = Pose((0.0, 0.0, 8.0), quat_multiply(FACING, rotation_exp([0.4, 0.2, 0.0])))
     board = marker_grid(2, 2, 0.05, 0.012)
     rng = np.random.default_rng(2)

@@ -67,7 +67,7 @@ def values(
 
 
 def view(pixel: np.void, homography: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where a pixel sees the print, and the derivative of that by pixels."""
+    """Point of the print at a pixel, and its derivative by pixels."""
 
     def at(dx: float, dy: float) -> np.ndarray:
         w = homography @ [pixel["x"] + dx / 800.0, pixel["y"] + dy / 800.0, 1.0]

@@ -1,4 +1,4 @@
-"""Corners from the whole print: nearer than from the sides, not believed where it is not there."""
+"""Corners from the whole print: more accurate than from the sides, and only from a real print."""
 
 from __future__ import annotations
 
@@ -33,25 +33,25 @@ def found_in(gray: NDArray[np.uint8]) -> dict[int, NDArray[np.float64]]:
     ("distance", "tilt", "margin", "most"),
     [(0.7, (0.5, 6.0), 0.24, 1.2e-3), (1.0, (45.0, 60.0), 0.12, 1e-3)],
 )
-def test_a_board_is_known_as_well_as_it_says(
+def test_the_stated_uncertainty_of_a_board_agrees_with_its_errors(
     distance: float, tilt: tuple[float, float], margin: float, most: float
 ) -> None:
     """Facing the camera, where corners are weakest; aslant on paper that ends near the print."""
     rng = np.random.default_rng(4)
-    off = []
+    errors = []
     inside = []
     for seed in range(8):
         pose = random_pose(STANDARD_CAMERA, rng, distance, size=0.112, tilt_deg=tilt)
         seen = BOARD.find(frame_of(picture(pose, seed, margin)), STANDARD_CAMERA)
         assert seen is not None
-        off.append(seen.pose.distance(pose)[1])
-        inside.append(off[-1] ** 2 / np.trace(seen.covariance[3:, 3:]))
-    assert np.sqrt(np.mean(np.square(off))) < most
-    assert 0.3 < np.sqrt(np.mean(inside)) < 1.5  # it knows how near
+        errors.append(seen.pose.distance(pose)[1])
+        inside.append(errors[-1] ** 2 / np.trace(seen.covariance[3:, 3:]))
+    assert np.sqrt(np.mean(np.square(errors))) < most
+    assert 0.3 < np.sqrt(np.mean(inside)) < 1.5  # the stated sigma is consistent
 
 
-def test_the_print_tells_a_marker_from_its_mirror_image() -> None:
-    """A 50 mm marker at 1 m that leans by some degrees: the corners alone cannot tell which way."""
+def test_the_print_distinguishes_a_marker_from_its_mirror_image() -> None:
+    """A 50 mm marker at 1 m, tilted by some degrees in a direction unknown from the corners."""
     target = marker(7, 0.05, DICTIONARY)
     rng = np.random.default_rng(9)
     worst = 0.0
@@ -71,7 +71,7 @@ def test_the_print_tells_a_marker_from_its_mirror_image() -> None:
     assert worst < np.deg2rad(2.5)
 
 
-def test_a_print_that_is_not_there_is_not_believed() -> None:
+def test_a_missing_print_gives_no_refined_corners() -> None:
     pose = random_pose(STANDARD_CAMERA, np.random.default_rng(1), 0.7, size=0.112)
     image = picture(pose, 1)
     found = found_in(image)
@@ -97,8 +97,8 @@ def test_a_print_that_is_not_there_is_not_believed() -> None:
 
 
 @pytest.mark.parametrize(("seed", "distance"), [(75, 1.8), (106, 1.4), (162, 1.4)])
-def test_the_mirror_image_is_not_taken_for_sure(seed: int, distance: float) -> None:
-    """Both poses are judged by the same pixels. With different pixels they were 10 degrees off."""
+def test_the_mirrored_orientation_stays_ambiguous(seed: int, distance: float) -> None:
+    """Both poses are compared on the same pixels. Different pixels gave errors of 10 degrees."""
     rng = np.random.default_rng(seed)
     pose = random_pose(STANDARD_CAMERA, rng, distance, tilt_deg=(1, 30))
     image = render_markers(STANDARD_CAMERA, {7: (0.05, pose)}, rng)

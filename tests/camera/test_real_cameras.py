@@ -172,7 +172,7 @@ def observed(light: Array, camera: Camera, seed: int) -> Observation:
         "sharpened widely",
     ],
 )
-def test_a_marker_is_where_it_is_for_every_tone_curve(
+def test_the_pose_of_a_marker_is_accurate_for_every_tone_curve(
     scenes: list[tuple[Pose, Array]], camera: Camera, max_error: float
 ) -> None:
     distances = []
@@ -225,7 +225,7 @@ def test_a_strongly_tilted_marker_is_fitted_though_its_sharp_corners_are_found_f
     assert fitted.refined and np.abs(fitted.pixels - true).max() < 0.1
 
 
-def test_a_board_is_where_it_is_under_a_webcam() -> None:
+def test_the_pose_of_a_board_in_a_webcam_picture_is_accurate() -> None:
     """The board has 2 x 2 markers. The edge shift of each is estimated."""
     rng = np.random.default_rng(13)
     distances = []
@@ -248,19 +248,19 @@ def found_and_fitted(image: NDArray[np.uint8]) -> tuple[Array, Corners]:
     return found.corners, fitted
 
 
-def test_what_is_taken_for_another_marker_is_not_believed() -> None:
+def test_a_marker_with_a_misread_id_is_rejected() -> None:
     rng = np.random.default_rng(14)
     pose = Pose((0.0, 0.0, 0.5), FACING.wxyz)
     image = picture_of(light_of(dict(BOARD.markers), pose, 0.7), WEBCAM, rng)
     found = MarkerDetector(DICTIONARY).detect(image)
     ids = [found[0].id, found[1].id, found[2].id, 17]
     fitted = refine_markers(image, [d.corners for d in found], ids, DICTIONARY, CAMERA)
-    assert [one.refined for one in fitted] == [True, True, True, False]
-    assert [one.verified for one in fitted] == [True, True, True, False]
+    assert [fit.refined for fit in fitted] == [True, True, True, False]
+    assert [fit.verified for fit in fitted] == [True, True, True, False]
     assert (fitted[3].pixels == found[3].corners).all()
 
 
-def test_what_only_has_the_code_of_a_marker_is_no_marker(
+def test_the_code_of_a_marker_alone_is_not_a_marker(
     scenes: list[tuple[Pose, Array]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The detector corrects bits. The fit then compares the cells with the print."""
@@ -269,7 +269,7 @@ def test_what_only_has_the_code_of_a_marker_is_no_marker(
     real = MarkerDetector.detect
 
     def misread(detector: MarkerDetector, gray: NDArray[np.uint8]) -> list[Detection]:
-        return [replace(one, id=31) for one in real(detector, gray)]
+        return [replace(detection, id=31) for detection in real(detector, gray)]
 
     monkeypatch.setattr(MarkerDetector, "detect", misread)
     assert find_corners(frame_of(image), CAMERA, DICTIONARY) == []

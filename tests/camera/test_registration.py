@@ -35,7 +35,7 @@ def overlap(a: np.ndarray, b: np.ndarray) -> float:
     return float((a & b).sum() / max((a | b).sum(), 1))
 
 
-def test_real_things_hide_the_robot_where_they_are_in_front_of_it() -> None:
+def test_real_objects_in_front_of_the_robot_hide_it() -> None:
     box = BoxTable(position=(0.02, -0.12, 0.06), size=(0.10, 0.04, 0.12), yaw_deg=15.0)
     masks = []
     for occluders in (None, occluder_boxes([box])):
@@ -61,7 +61,7 @@ def test_a_robot_of_another_size_is_the_same_picture_from_elsewhere() -> None:
     assert np.abs(small.coverage.astype(int) - large.robot.coverage).max() <= 1
 
 
-def test_a_robot_larger_than_the_picture_throws_a_shadow_no_softer_than_the_picture(
+def test_the_shadow_of_a_robot_larger_than_the_picture_is_no_softer_than_the_picture(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     softness: list[float] = []
@@ -94,7 +94,7 @@ def test_a_robot_on_a_board_is_registered_to_a_third_of_a_pixel() -> None:
     assert errors.worst <= 1.0
 
 
-def test_each_remedy_makes_a_delay_smaller() -> None:
+def test_each_remedy_reduces_the_error_of_a_delay() -> None:
     found = drawing_errors.latency_errors(0.066, 1.1)
     assert found["delayed video"].rms < 0.3
     assert found["nothing"].rms > 5.0
@@ -143,7 +143,7 @@ def test_a_layer_moved_by_whole_pixels_keeps_its_pixels(dx: int, dy: int) -> Non
     assert (image == whole[100:180, 100:200]).all()
 
 
-def test_a_board_that_is_lost_is_drawn_upon_a_quarter_second_longer(
+def test_a_lost_board_is_drawn_on_for_a_quarter_second(
     model_of: Callable[..., mujoco.MjModel],
 ) -> None:
     pose = Pose((0.0, 0.0, 0.7), (0.0, 1.0, 0.0, 0.0))
@@ -181,7 +181,7 @@ def test_a_board_that_is_lost_is_drawn_upon_a_quarter_second_longer(
         ("x = ", "not valid TOML"),
     ],
 )
-def test_a_file_of_occluders_that_is_none_is_refused(
+def test_an_invalid_file_of_occluders_is_rejected(
     text: str, said: str, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     file = tmp_path_factory.mktemp("occluders") / "things.toml"

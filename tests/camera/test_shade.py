@@ -64,7 +64,7 @@ def test_a_shadow_on_a_part_of_a_marker_does_not_bias_its_corners(
     assert np.abs(np.mean(errors, axis=0)).max() < 0.05
 
 
-def test_an_overexposed_print_is_not_taken_for_a_shaded_one(
+def test_an_overexposed_print_is_not_treated_as_shaded(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def refuse(*_arguments: object) -> Array:

@@ -92,7 +92,7 @@ def test_a_silent_camera_times_out(capture: FakeCapture, real_time: None) -> Non
             source.read()
 
 
-def test_a_pulled_plug_is_reported(capture: FakeCapture) -> None:
+def test_an_unplugged_camera_is_reported(capture: FakeCapture) -> None:
     with DeviceSource(0, opener=lambda: capture, timeout=LONG) as source:
         source.read()
         capture.dead = True
@@ -117,7 +117,7 @@ def test_a_camera_with_another_size_is_refused() -> None:
     assert capture.released
 
 
-def test_closing_lets_go_of_the_camera() -> None:
+def test_closing_releases_the_camera() -> None:
     capture = FakeCapture(running=True)
     source = DeviceSource(0, opener=lambda: capture)
     source.close()

@@ -116,7 +116,7 @@ def test_a_film_gives_every_picture_with_its_time(film: Path) -> None:
     assert np.diff([f.time for f in frames]) == pytest.approx(0.1)
 
 
-def test_a_synthetic_camera_keeps_its_truth_apart() -> None:
+def test_a_synthetic_camera_keeps_its_truth_separate() -> None:
     with open_source("synthetic:orbit?frames=3&seed=4&noise=2") as source:
         first = source.read()
         (pose,) = first.truth["pose_camera_marker"].values()  # type: ignore[index]
@@ -144,7 +144,7 @@ def test_synthetic_sources_that_do_not_exist_are_reported(text: str, message: st
         open_source(text)
 
 
-def test_what_is_no_picture_is_reported(tmp_path: Path) -> None:
+def test_a_file_without_a_picture_is_reported(tmp_path: Path) -> None:
     tracker = Tracker(STANDARD_CAMERA, [marker(7, 0.05)])
     board = ChessboardPattern(9, 6, 0.025)
     for frame, named in ((picture(1), "ndarray"), (None, "None"), ("photo.png", "str")):
@@ -171,7 +171,7 @@ def test_another_size_than_asked_is_reported(tmp_path: Path, film: Path) -> None
         open_source(str(tmp_path / name), size=(64, 48)).close()
 
 
-def test_truth_can_be_taken_off() -> None:
+def test_truth_can_be_removed() -> None:
     frame = Frame(picture(3), 1.5, 4, truth={"q": 1})
     bare = frame.without_truth()
     assert bare.truth is None
@@ -195,7 +195,7 @@ def test_truth_can_be_taken_off() -> None:
         ("http://127.0.0.1:9/stream", "cannot open camera http"),
     ],
 )
-def test_what_cannot_be_opened_is_reported(
+def test_a_source_that_does_not_open_is_reported(
     tmp_path: Path,
     text: str | int | Path,
     message: str,
@@ -220,7 +220,7 @@ def test_what_cannot_be_opened_is_reported(
 
 class QuietHandler(http.server.SimpleHTTPRequestHandler):
     def log_message(self, *_: object) -> None:
-        """Nothing on the terminal."""
+        """Check that the terminal shows nothing."""
 
 
 def test_a_film_on_a_server_is_opened_and_is_not_live(film: Path) -> None:
@@ -246,7 +246,7 @@ def test_an_image_source_counts_as_exhausted_once_given(tmp_path: Path) -> None:
     assert len(list(ImageSource(tmp_path / "a.png"))) == 1
 
 
-def test_no_source_is_one_without_saying_whether_it_is_live() -> None:
+def test_every_source_must_state_whether_it_is_live() -> None:
     class Silent(FrameSource):
         def read(self) -> Frame:
             return Frame(picture(0), 0.0, 0)

@@ -109,7 +109,7 @@ def test_bodies_come_from_a_file(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_what_is_wrong_in_the_file_is_reported(
+def test_errors_of_the_file_are_reported(
     tmp_path: Path, old: str, new: str, text: str | None
 ) -> None:
     file = tmp_path / "bodies.toml"

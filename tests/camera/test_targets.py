@@ -124,9 +124,9 @@ def test_an_observation_of_another_frame_of_the_target() -> None:
     assert back.points == pytest.approx(observation.points, abs=1e-12)
     assert back.covariance == pytest.approx(observation.covariance, rel=1e-9, abs=1e-18)
     # Both see the same points at the same pixels.
-    one = STANDARD_CAMERA.project(observation.pose.apply(observation.points))
-    two = STANDARD_CAMERA.project(other.pose.apply(other.points))
-    assert one == pytest.approx(two)
+    pixels = STANDARD_CAMERA.project(observation.pose.apply(observation.points))
+    other_pixels = STANDARD_CAMERA.project(other.pose.apply(other.points))
+    assert pixels == pytest.approx(other_pixels)
     rng = np.random.default_rng(0)
     root = np.linalg.cholesky(observation.covariance)
     moved = [observation.pose.plus(root @ rng.normal(size=6)) for _ in range(4000)]

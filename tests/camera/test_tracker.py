@@ -48,23 +48,23 @@ def angles(pairs: list[tuple[Pose, Pose]]) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("distance", "sigma"), [(1.0, 0.05), (1.0, 0.15), (1.5, 0.1)])
-def test_a_memory_is_never_worse_than_the_smaller_error(distance: float, sigma: float) -> None:
+def test_memory_does_not_increase_the_rms_error(distance: float, sigma: float) -> None:
     for seed in range(3):
         memory = PoseMemory()
-        alone = []
+        single = []
         kept = []
         for true, fits in swing(distance, sigma, seed):
-            alone.append((true, fits.observation().pose))
+            single.append((true, fits.observation().pose))
             kept.append((true, memory.choose(fits).pose))
-        one = angles(alone)
-        two = angles(kept)
-        assert np.sqrt(np.mean(two**2)) <= np.sqrt(np.mean(one**2)) + 1e-9, seed
-        assert (two > 5).sum() <= (one > 5).sum(), seed
+        single_angles = angles(single)
+        kept_angles = angles(kept)
+        assert np.sqrt(np.mean(kept_angles**2)) <= np.sqrt(np.mean(single_angles**2)) + 1e-9, seed
+        assert (kept_angles > 5).sum() <= (single_angles > 5).sum(), seed
     if sigma == 0.15:
-        assert (two > 5).sum() < 0.7 * (one > 5).sum()
+        assert (kept_angles > 5).sum() < 0.7 * (single_angles > 5).sum()
 
 
-def test_a_wrong_pose_does_not_stay_alive() -> None:
+def test_a_wrong_pose_does_not_persist() -> None:
     """Ten pictures prefer the wrong pose, then the right one is chosen again after a few."""
     memory = PoseMemory()
     pose = Pose((0.0, 0.0, 0.7), quat_multiply(FACING, rotation_exp([0.5, 0.1, 0.0])))
@@ -81,7 +81,7 @@ def test_a_wrong_pose_does_not_stay_alive() -> None:
     assert not any(wrong[13:])
 
 
-def test_one_wrong_picture_among_right_ones_changes_nothing() -> None:
+def test_one_wrong_picture_does_not_change_the_result() -> None:
     memory = PoseMemory()
     rng = np.random.default_rng(2)
     pose = Pose((0.0, 0.0, 1.2), quat_multiply(FACING, rotation_exp([0.3, 0.1, 0.0])))
@@ -100,22 +100,22 @@ def test_the_first_picture_and_one_after_a_pause_count_alone() -> None:
     for k, time in enumerate((0.0, 10.0, 3.0, float("nan"))):
         fits = seen(random_pose(CAMERA, np.random.default_rng(k), 1.0), 0.1, rng, time)
         choice = (PoseMemory() if np.isnan(time) else memory).choose(fits)
-        alone = fits.observation()
-        assert choice.pose is alone.pose
-        assert choice.ambiguity == pytest.approx(alone.ambiguity)
+        single = fits.observation()
+        assert choice.pose is single.pose
+        assert choice.ambiguity == pytest.approx(single.ambiguity)
 
 
 def test_pictures_of_a_resting_marker_make_it_less_ambiguous() -> None:
     memory = PoseMemory()
     rng = np.random.default_rng(4)
     pose = Pose((0.0, 0.0, 1.2), quat_multiply(FACING, rotation_exp([0.35, 0.1, 0.0])))
-    alone = []
+    single = []
     together = []
     for k in range(40):
         fits = seen(pose, 0.12, rng, k / RATE)
         together.append(memory.choose(fits).ambiguity)
-        alone.append(fits.observation().ambiguity)
-    assert np.mean(together[10:]) < np.mean(alone[10:]) - 0.04
+        single.append(fits.observation().ambiguity)
+    assert np.mean(together[10:]) < np.mean(single[10:]) - 0.04
     assert all(0.0 <= a <= 1.0 for a in together)
 
 
@@ -150,7 +150,7 @@ def test_targets_of_two_dictionaries_are_tracked() -> None:
 
 
 def test_a_large_board_is_fitted_in_part_and_every_target_is_found() -> None:
-    """48 markers on a board, and one marker of it again as a target of its own."""
+    """48 markers on a board, and one of them as a separate target, too."""
     board = marker_grid(8, 6, 0.02, 0.005, dictionary="DICT_5X5_50")
     single = MarkerTarget({0: board.markers[0]}, board.dictionary, "first marker")
     pose = Pose((0.0, 0.0, 0.4), quat_multiply(FACING, rotation_exp([0.2, 0.0, 0.0])))

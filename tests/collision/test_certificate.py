@@ -1,4 +1,4 @@
-"""Certified motions: dense sampling by MuJoCo finds no contact, and refuted ones have one."""
+"""Certified motions: dense samples by MuJoCo have no contact, and refuted motions have one."""
 
 import mujoco
 import numpy as np
@@ -11,11 +11,11 @@ from robot_ik.errors import MotionBlockedError, OptionError
 from robot_ik.motion.certificate import certify
 
 STEP = 0.002
-"""rad or m. Distance of the samples that judge a certificate."""
+"""rad or m. Distance of the samples that check a certificate."""
 
 
-def hall(robot, rng):
-    """Thin plates with slots between them, around a robot; none that is always in its way."""
+def random_plates(robot, rng):
+    """Thin plates with slots between them around a robot, without plates that always touch it."""
     samples = np.array([robot.sample(rng) for _ in range(50)])
     bare = rik.Scene(robot).free(samples).mean()
     plates = []
@@ -29,7 +29,7 @@ def hall(robot, rng):
     return plates
 
 
-def dense(robot, first, last):
+def dense_postures(robot, first, last):
     """Postures (n, nq) on the line between two postures."""
     change = robot.difference(first, last)
     count = int(np.linalg.norm(change) / STEP) + 2
@@ -37,10 +37,10 @@ def dense(robot, first, last):
 
 
 @pytest.mark.parametrize("name", ["puma560", "panda", "ur5e", "humanoid", "omx_f"])
-def test_certified_edges_have_no_contact_and_refuted_ones_have_one(name):
+def test_certified_edges_have_no_contact_and_refuted_edges_have_a_contact(name):
     rng = np.random.default_rng(7)
     robot = rik.load_robot(name)
-    scene = rik.Scene(robot, hall(robot, rng))
+    scene = rik.Scene(robot, random_plates(robot, rng))
     avoid = rik.CollisionAvoidance(scene, margin=0.001)
     certified = 0
     refuted = 0
@@ -58,7 +58,7 @@ def test_certified_edges_have_no_contact_and_refuted_ones_have_one(name):
         if certificate.certified:
             certified += 1
             assert certificate.clearance == avoid.margin
-            assert avoid.free(dense(robot, first, last)).all()
+            assert avoid.free(dense_postures(robot, first, last)).all()
     assert certified > 10
     assert refuted > 10
     assert certified + refuted >= 115
@@ -155,7 +155,7 @@ def test_joint_moves_are_certified_or_refused_with_time_pair_and_depth():
         if move.certified:
             outcomes[True] += 1
             assert move.clearance >= avoid.margin
-            assert avoid.free(dense(robot, first, last)).all()
+            assert avoid.free(dense_postures(robot, first, last)).all()
     assert outcomes[True] > 3
     assert outcomes[False] > 3
 
@@ -223,7 +223,7 @@ CRANK = """<mujoco><compiler angle="radian"/><worldbody>
 </worldbody><equality>
   <joint joint1="ride" joint2="lead" polycoef="{law}"/>
 </equality></mujoco>"""
-"""A joint that turns and a sled that follows it by a polynomial."""
+"""A hinge and a slide that follows it by a polynomial."""
 
 
 @pytest.mark.parametrize(
@@ -303,7 +303,7 @@ def test_a_free_base_with_an_arm_is_certified_rightly(seed):
     first[:3] = rng.uniform((0.0, -0.8, -0.3), (1.2, 0.8, 0.3))
     first = robot.integrate(first, rng.normal(size=robot.nv) * 0.4)
     last = robot.integrate(first, rng.normal(size=robot.nv) * 0.3)
-    postures = dense(robot, first, last)
+    postures = dense_postures(robot, first, last)
     smallest = min(scene.clearance(q).distance for q in postures)
     try:
         certificate = certify([first, last], avoid)

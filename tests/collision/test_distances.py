@@ -15,7 +15,7 @@ FARTHEST = 10.0
 
 
 def two_geoms(kinds, sizes, quats):
-    """A robot that is a geom on a free body, above a geom that is fixed to the world."""
+    """A robot of one geom on a free body, above a geom that is fixed to the world."""
     assets = []
     geoms = []
     for k, (kind, size, quat) in enumerate(zip(kinds, sizes, quats, strict=True)):
@@ -62,7 +62,7 @@ def test_bounds_enclose_the_distance_of_mujoco(kinds, sizes, quats, position, ga
     if gap is not None:
         if found.distance < gap:
             return
-        # Nearer along the shortest way: the gap is what was asked for.
+        # Moved along the shortest direction until the distance is the requested gap.
         q[:3] += found.normal * (found.distance - gap) * (1 if found.pair[1] == "b" else -1)
         found = scene.clearance(q)
     lower, upper, overlap = bounds(scene, q)
@@ -83,7 +83,7 @@ def test_bounds_enclose_the_distance_of_mujoco(kinds, sizes, quats, position, ga
     st.lists(st.tuples(*[st.floats(-1.0, 1.0)] * 3), min_size=1, max_size=30),
     st.lists(st.floats(0.0, 0.3), min_size=30, max_size=30),
 )
-def test_a_capsule_contains_what_it_is_made_around(points, radii):
+def test_a_capsule_contains_its_balls(points, radii):
     points = np.array(points)
     radii = np.array(radii[: len(points)])
     first, last, radius = np.split(capsule_around(points, radii), [3, 6])
@@ -136,7 +136,7 @@ def surface_points(kind, size, rng):
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_no_filter_drops_a_pair_that_is_nearer_than_asked(seed):
+def test_no_filter_drops_a_pair_that_is_nearer_than_the_reach(seed):
     rng = np.random.default_rng(seed)
     robot = rik.load_robot(rng.choice(["puma560", "panda", "humanoid"]))
     scene = rik.Scene(robot, [rik.Box("a", size=(0.5, 0.02, 0.4), pose=rik.Pose((0.4, 0.1, 0.5)))])

@@ -1,4 +1,4 @@
-"""Following with limited steps: the margin is kept, and starts in collision lead out."""
+"""Following with limited steps: the margin is kept, and collisions at the start are left."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ class Push:
 
 
 @pytest.mark.parametrize(("rate", "share"), [(200.0, 0.8), (1000.0, 0.95)])
-def test_following_keeps_its_distance(rate, share):
+def test_following_keeps_the_margin(rate, share):
     robot = rik.load_robot("panda")
     box = rik.Box("box", size=(0.2, 0.3, 0.4), pose=rik.Pose((0.5, 0.0, 0.2)))
     table = rik.Box("table", size=(1.1, 1.0, 0.03), pose=rik.Pose((0.3, 0.0, -0.03)))
@@ -50,7 +50,7 @@ def test_following_keeps_its_distance(rate, share):
     q = recorder.trajectory().q
     smallest = min(scene.clearance(row).distance for row in q)
     assert share * avoid.margin - 1e-6 <= smallest
-    assert smallest < 0.02  # the box was in the way
+    assert smallest < 0.02  # the box blocked the motion
     limits = robot.velocity_limits / rate
     assert (np.abs(np.diff(q, axis=0)) <= limits * (1 + 1e-9)).all()
     assert report.statuses["ITERATION_LIMIT"] > 0
@@ -138,7 +138,7 @@ def test_an_obstacle_that_comes_nearer_pushes_the_arm_away():
 
 
 @pytest.mark.parametrize("name", ["panda", "puma560", "ur5e"])
-def test_a_start_in_collision_gets_out(name):
+def test_a_start_in_collision_is_left(name):
     robot = rik.load_robot(name)
     rng = np.random.default_rng(8)
     scene = rik.Scene(robot, [rik.Box("box", size=(0.2, 0.3, 0.4), pose=rik.Pose((0.5, 0.0, 0.4)))])
@@ -164,7 +164,7 @@ def test_a_start_in_collision_gets_out(name):
 
 
 @pytest.mark.parametrize("name", ["puma560", "panda", "humanoid", "seven_segment"])
-def test_gradients_are_those_of_finite_differences(name):
+def test_gradients_equal_finite_differences(name):
     robot = rik.load_robot(name)
     rng = np.random.default_rng(9)
     scene = rik.Scene(
@@ -232,8 +232,8 @@ def test_quadratic_programs_keep_their_conditions_of_optimality(seed, size, coun
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_depths_are_near_those_of_mujoco(seed):
-    """Compiled depths lead a start out of a collision; those that are reported are MuJoCo's."""
+def test_depths_are_close_to_those_of_mujoco(seed):
+    """Compiled depths are used to leave a collision. Reported depths are those of MuJoCo."""
     rng = np.random.default_rng(seed)
     robot = rik.load_robot(rng.choice(["puma560", "panda", "ur5e", "humanoid"]))
     scene = rik.Scene(robot, [rik.Box("box", size=(0.2, 0.3, 0.4), pose=rik.Pose((0.5, 0, 0.4)))])

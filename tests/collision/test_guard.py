@@ -1,4 +1,4 @@
-"""Motions that are allowed or refused, and starts in contact. MuJoCo is the judge."""
+"""Motions that are allowed or refused, and starts in contact. MuJoCo checks the distances."""
 
 import numpy as np
 import pytest
@@ -58,8 +58,8 @@ def test_a_free_motion_is_certified_and_a_blocked_one_refused(robot):
     assert blocked.collisions.clearance(caught.value.q).distance < MARGIN
 
 
-def test_an_arm_in_contact_may_leave_it_but_not_press_on(robot):
-    """The tool presses on a box. Only motions that lead away from it are allowed."""
+def test_an_arm_in_contact_may_move_away_but_not_closer(robot):
+    """The tool presses on a box. Only motions away from it are allowed."""
     first = robot.home
     scene = pedestal(robot, 0.003)
     avoid = rik.CollisionAvoidance(scene, MARGIN)
@@ -86,7 +86,7 @@ def test_an_arm_in_contact_may_leave_it_but_not_press_on(robot):
     assert outcomes[False] > 3
 
 
-def test_parts_that_have_left_each_other_must_not_come_back(robot):
+def test_parts_that_have_separated_must_keep_the_margin(robot):
     first = robot.home
     scene = pedestal(robot, -0.002)
     guard = MotionGuard(rik.CollisionAvoidance(scene, MARGIN))
@@ -121,7 +121,7 @@ def test_a_long_recording_is_checked_to_its_end(robot):
     assert caught.value.time > 25.0
 
 
-def test_a_stream_of_steps_stops_at_the_margin_and_goes_on_elsewhere(robot):
+def test_a_stream_of_steps_stops_at_the_margin_and_continues_elsewhere(robot):
     first = robot.home
     last = first.copy()
     last[0] += 0.8
@@ -130,7 +130,7 @@ def test_a_stream_of_steps_stops_at_the_margin_and_goes_on_elsewhere(robot):
     guard = MotionGuard(rik.CollisionAvoidance(scene, MARGIN))
 
     def stream(q, goal):
-        """Steps of at most 0.02 rad towards a goal, and what stopped them."""
+        """Steps of at most 0.02 rad towards a goal, and the posture that blocked them."""
         for _ in range(200):
             change = np.clip(goal - q, -0.02, 0.02)
             blocked = guard.blocked_at(q, q + change)
@@ -166,7 +166,7 @@ def test_a_thin_plate_between_two_commands_of_a_stream_is_found(robot):
     assert "plate" in scene.clearance(blocked).pair
 
 
-def test_a_stream_in_contact_may_leave_it_but_not_press_on(robot):
+def test_a_stream_in_contact_may_move_away_but_not_closer(robot):
     first = robot.home
     scene = pedestal(robot, 0.002)
     guard = MotionGuard(rik.CollisionAvoidance(scene, MARGIN))
@@ -210,7 +210,7 @@ def test_parts_that_are_always_near_are_named():
 
 
 def stream_towards(stream, goal, ticks):
-    """Commands (ticks, nq) of a stream that is led to a goal."""
+    """Commands (ticks, nq) of a stream towards a goal."""
     return np.array([stream.next(goal) for _ in range(ticks)])
 
 
@@ -255,7 +255,7 @@ def test_a_stream_does_not_overshoot(robot):
     assert q[-1] == pytest.approx(goal, abs=1e-9)
 
 
-def test_a_stream_goes_on_from_what_was_sent(robot):
+def test_a_stream_continues_from_the_sent_command(robot):
     """A limiter that halves every step: the stream still keeps the margin."""
     first = robot.home
     last = first.copy()

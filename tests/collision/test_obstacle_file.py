@@ -1,4 +1,4 @@
-"""Obstacles of an MJCF file: each has the distances of the geom that it stands for, by MuJoCo."""
+"""Obstacles of an MJCF file: each has the distances of its geom, by MuJoCo."""
 
 import mujoco
 import numpy as np
@@ -28,7 +28,7 @@ def write(tmp_path, text):
     return path
 
 
-def test_each_obstacle_is_where_its_geom_is_and_has_its_shape(tmp_path):
+def test_each_obstacle_has_the_pose_and_shape_of_its_geom(tmp_path):
     obstacles = rik.load_obstacles(write(tmp_path, FURNITURE))
     names = [obstacle.name for obstacle in obstacles]
     assert names == ["floor", "ramp", "table", "table 2", "bulb", "rod"]
@@ -46,7 +46,7 @@ def test_each_obstacle_is_where_its_geom_is_and_has_its_shape(tmp_path):
             data.mocap_pos[0] = position
             mujoco.mj_kinematics(model, data)
             expected = mujoco.mj_geomDistance(model, data, model.geom("probe").id, geom, 9.0, None)
-            # The robot's sphere stands at the origin, so the obstacle is moved instead.
+            # The robot's sphere is at the origin, so the obstacle is moved instead.
             pose = rik.Pose(obstacle.pose.position - position, obstacle.pose.wxyz)
             scene = rik.Scene(robot, [obstacle])
             scene.move(obstacle.name, pose)
@@ -62,7 +62,7 @@ def test_each_obstacle_is_where_its_geom_is_and_has_its_shape(tmp_path):
         ("<geom name='egg' type='ellipsoid' size='.1 .1 .2'/>", "egg"),
     ],
 )
-def test_what_is_no_obstacle_is_refused(text, named, tmp_path):
+def test_a_file_without_valid_obstacles_is_refused(text, named, tmp_path):
     file = write(tmp_path, f"<mujoco><worldbody>{text}</worldbody></mujoco>")
     with pytest.raises(InvalidObstacleError, match=named):
         rik.load_obstacles(file)
@@ -82,6 +82,6 @@ def test_a_file_that_mujoco_cannot_read_is_refused(text, tmp_path):
         rik.load_obstacles(write(tmp_path, text))
 
 
-def test_a_file_that_does_not_exist_is_named(tmp_path):
+def test_a_missing_file_is_named_in_the_error(tmp_path):
     with pytest.raises(ModelError, match=r"there is no scene file .*nowhere\.xml"):
         rik.load_obstacles(tmp_path / "nowhere.xml")

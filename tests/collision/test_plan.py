@@ -19,18 +19,18 @@ MARGIN = 0.003
 """m. Distance that the plans keep."""
 
 STEP = 0.015
-"""rad or m. Distance of the samples that MuJoCo judges."""
+"""rad or m. Distance of the samples that MuJoCo checks."""
 
 SHARE = 0.6
-"""Random postures are this share of the way from home: some corners of the box are cut off."""
+"""Share of the distance from home to random joint angles, for random postures."""
 
 
 def smallest_distance(scene, rows, pairs=None):
     """Distance of the nearest pair on straight lines between rows (n, nq), by MuJoCo."""
-    return min(scene.clearance(q, pairs).distance for q in densely(rows))
+    return min(scene.clearance(q, pairs).distance for q in dense_postures(rows))
 
 
-def densely(rows):
+def dense_postures(rows):
     """Samples of straight lines between rows (n, nq)."""
     samples = []
     for first, last in itertools.pairwise(rows):
@@ -67,7 +67,7 @@ def blocked_ends(avoid, count, seed=0):
     rows = free_postures(avoid, 20 * count, seed)
     pairs = []
     for first, last in itertools.pairwise(rows):
-        if not avoid.free(np.array(densely(np.array([first, last])))).all():
+        if not avoid.free(np.array(dense_postures(np.array([first, last])))).all():
             pairs.append((first, last))
     return pairs[:count]
 
@@ -106,7 +106,7 @@ def test_a_free_straight_line_is_the_fastest_move():
     assert np.abs(result.require().q - move.q).max() < 1e-12
 
 
-def test_a_plan_to_where_the_arm_is_stays_there():
+def test_a_plan_to_the_start_does_not_move():
     robot = rik.load_robot("ur5e")
     avoid = rik.CollisionAvoidance(rik.Scene(robot), margin=MARGIN)
     result = rik.plan(robot, robot.home, robot.home, collisions=avoid)
@@ -115,7 +115,7 @@ def test_a_plan_to_where_the_arm_is_stays_there():
 
 
 @pytest.mark.parametrize("name", ["puma560", "panda"])
-def test_a_pose_is_reached_by_the_posture_that_is_easiest(name):
+def test_a_plan_to_a_pose_may_end_in_any_posture(name):
     """All branches of the PUMA, and several solutions of the Panda, may be the end."""
     robot = rik.load_robot(name)
     avoid = rik.CollisionAvoidance(rik.Scene(robot, rack((0.5, 0.0, 0.5))), margin=MARGIN)
@@ -132,7 +132,7 @@ def test_a_pose_is_reached_by_the_posture_that_is_easiest(name):
     assert largest_count > 1
 
 
-def test_the_same_seed_gives_the_same_bits_and_another_seed_another_path():
+def test_the_same_seed_gives_equal_bits_and_another_seed_another_path():
     robot = rik.load_robot("panda")
     avoid = rik.CollisionAvoidance(rik.Scene(robot, rack((0.5, 0.0, 0.5))), margin=MARGIN)
     start, goal = blocked_ends(avoid, 1)[0]
@@ -169,7 +169,7 @@ def test_a_passage_narrower_than_the_reserve_is_found():
     assert smallest_distance(avoid.scene, trajectory.q) >= MARGIN - 1e-6
 
 
-def test_no_path_is_a_result_that_says_what_was_tried():
+def test_a_plan_without_a_path_reports_its_iterations():
     robot = wall_of_slides(gap=0.08)
     avoid = rik.CollisionAvoidance(rik.Scene(robot), margin=MARGIN)
     start = np.array([-0.5, 0.5])
@@ -201,7 +201,7 @@ def test_budgets_hold():
     assert once.restarts == 1
 
 
-def test_a_start_or_goal_in_collision_is_named_with_its_depth():
+def test_a_start_or_goal_in_collision_is_reported_with_its_depth():
     robot = rik.load_robot("puma560")
     tool = robot.forward(robot.home).position
     scene = rik.Scene(robot, [rik.Sphere("ball", radius=0.03, pose=rik.Pose(tool))])
@@ -231,7 +231,7 @@ def test_a_goal_out_of_reach_is_a_proof():
     assert result.solution.status is rik.Status.UNREACHABLE
 
 
-def test_an_attached_part_is_kept_away_too():
+def test_an_attached_part_keeps_the_margin():
     robot = rik.load_robot("ur5e")
     scene = rik.Scene(robot, rack((0.55, 0.0, 0.5)))
     rod = rik.Cylinder("rod", radius=0.01, length=0.4, pose=rik.Pose((0.0, 0.0, 0.25)))
@@ -265,7 +265,7 @@ def grasp():
     return rik.load_robot(text, tool="tcp")
 
 
-def test_a_grasp_is_left_straight_and_only_the_allowed_pair_is_near():
+def test_the_retreat_from_a_grasp_is_straight_and_only_the_allowed_pair_is_near():
     robot = grasp()
     scene = rik.Scene(robot)
     avoid = rik.CollisionAvoidance(scene, margin=MARGIN)
@@ -282,16 +282,18 @@ def test_a_grasp_is_left_straight_and_only_the_allowed_pair_is_near():
     with_part = np.isin(scene.pairs, fingers).any(axis=1)
     with_part &= (scene.pairs == scene.model.geom("part").id).any(axis=1)
     assert smallest_distance(scene, trajectory.q, scene.pairs[~with_part]) >= MARGIN - 1e-6
-    distances = [scene.clearance(q, scene.pairs[with_part]).distance for q in densely(trajectory.q)]
+    distances = [
+        scene.clearance(q, scene.pairs[with_part]).distance for q in dense_postures(trajectory.q)
+    ]
     assert min(distances) >= distances[0] - 1e-3
     leaves = int(np.argmax(np.array(distances) >= MARGIN))
     assert min(distances[leaves:]) >= MARGIN - 1e-6
-    # Back again: the grasp is entered as it is left.
+    # In the other direction the grasp is approached along the same path.
     back = rik.plan(robot, goal, start, collisions=avoid, allowed=allowed)
     assert np.array_equal(back.require().q[-1], start)
 
 
-def test_an_arm_backs_out_of_a_part_that_its_hand_touches():
+def test_an_arm_retreats_from_a_part_that_its_hand_touches():
     robot = rik.load_robot("puma560")
     part = rik.Sphere("part", radius=0.02, pose=robot.forward(robot.home))
     scene = rik.Scene(robot, [part])
@@ -302,7 +304,7 @@ def test_an_arm_backs_out_of_a_part_that_its_hand_touches():
     result = rik.plan(robot, robot.home, goal, collisions=avoid, allowed=[("hand", "part")])
     trajectory = result.require()
     assert trajectory.certified
-    distances = np.array([scene.clearance(q).distance for q in densely(trajectory.q)])
+    distances = np.array([scene.clearance(q).distance for q in dense_postures(trajectory.q)])
     leaves = int(np.argmax(distances >= MARGIN))
     assert distances[:leaves].min() >= distances[0] - 1e-3
     assert distances[leaves:].min() >= MARGIN - 1e-6
@@ -355,7 +357,7 @@ def test_wrong_input_is_refused():
         rik.plan(robot, home, [rik.Pose((0.4, 0.0, 0.3)), 1.0], collisions=avoid)
 
 
-def test_free_bases_are_refused_by_name():
+def test_free_bases_are_refused_with_a_message():
     robot = rik.load_robot("humanoid")
     avoid = rik.CollisionAvoidance(rik.Scene(robot), margin=MARGIN)
     with pytest.raises(UnsupportedJointError, match="ball or free"):

@@ -1,4 +1,4 @@
-"""Scenes: pairs, obstacles that move, attached parts, and checks. MuJoCo is the judge."""
+"""Scenes: pairs, obstacles that move, attached parts, and checks, compared with MuJoCo."""
 
 import pickle
 
@@ -18,7 +18,7 @@ from robot_ik.errors import (
 
 ROBOTS = ("puma560", "panda", "ur5e", "humanoid", "koch_v11")
 BAND = 1e-7
-"""m. So near to contact the two may differ."""
+"""m. Nearer than this to contact, MuJoCo and the compiled check may differ."""
 
 
 def mujoco_is_free(scene, q):
@@ -36,7 +36,7 @@ def mujoco_is_free(scene, q):
     return depth >= 0.0, depth
 
 
-def crowd(rng, count=6):
+def random_obstacles(rng, count=6):
     """Obstacles of every kind around a robot."""
     obstacles = [rik.Plane("floor", pose=rik.Pose((0.0, 0.0, -0.4)))]
     for k in range(count):
@@ -61,10 +61,10 @@ def crowd(rng, count=6):
 
 @pytest.mark.parametrize("name", ROBOTS)
 @pytest.mark.parametrize("crowded", [False, True])
-def test_free_is_what_mujoco_finds(name, crowded):
+def test_free_agrees_with_mujoco(name, crowded):
     rng = np.random.default_rng(3)
     robot = rik.load_robot(name)
-    scene = rik.Scene(robot, crowd(rng) if crowded else [])
+    scene = rik.Scene(robot, random_obstacles(rng) if crowded else [])
     q = np.array([robot.sample(rng) for _ in range(200)])
     free = scene.free(q)
     for row in range(len(q)):
@@ -76,10 +76,10 @@ def test_free_is_what_mujoco_finds(name, crowded):
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_distances_are_those_of_mujoco(name):
+def test_distances_equal_those_of_mujoco(name):
     rng = np.random.default_rng(4)
     robot = rik.load_robot(name)
-    scene = rik.Scene(robot, crowd(rng))
+    scene = rik.Scene(robot, random_obstacles(rng))
     q = np.array([robot.sample(rng) for _ in range(60)])
     found = scene.distances(q, reach=0.3)
     for row in range(len(q)):
@@ -93,7 +93,7 @@ def test_distances_are_those_of_mujoco(name):
 def test_a_margin_is_kept():
     rng = np.random.default_rng(5)
     robot = rik.load_robot("ur5e")
-    scene = rik.Scene(robot, crowd(rng))
+    scene = rik.Scene(robot, random_obstacles(rng))
     q = np.array([robot.sample(rng) for _ in range(200)])
     free = scene.free(q, margin=0.03)
     clearances = np.array([scene.clearance(row).distance for row in q])
@@ -101,7 +101,7 @@ def test_a_margin_is_kept():
     assert (free[clear] == (clearances[clear] > 0.03)).all()
 
 
-def test_a_moved_obstacle_is_where_it_was_moved():
+def test_a_moved_obstacle_has_its_new_pose():
     robot = rik.load_robot("puma560")
     tool = robot.forward(robot.home).position
     scene = rik.Scene(
@@ -162,7 +162,7 @@ def test_pairs_of_the_model_count_even_between_neighbours():
     assert scene.clearance([0.0, 0.0]).distance == pytest.approx(-0.05)
 
 
-def test_a_height_field_is_refused_by_name():
+def test_a_height_field_is_refused_with_its_name():
     text = """<mujoco><asset><hfield name="h" nrow="2" ncol="2" size="1 1 1 1"/></asset><worldbody>
       <geom name="hills" type="hfield" hfield="h"/>
       <body name="a" pos="0 0 3"><joint name="j1" axis="0 0 1"/><geom size=".1"/></body>
@@ -214,7 +214,7 @@ def test_a_robot_inside_an_obstacle_is_not_free():
     assert scene.clearance(robot.home).distance < -1.0
 
 
-def test_copies_of_a_scene_are_equal_and_apart():
+def test_copies_of_a_scene_are_equal_and_independent():
     robot = rik.load_robot("puma560")
     scene = rik.Scene(robot, [rik.Box("crate", pose=rik.Pose((0.5, 0, 0.5)))])
     copy = pickle.loads(pickle.dumps(scene))

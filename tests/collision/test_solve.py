@@ -1,4 +1,4 @@
-"""Free solutions: branches, restarts, proofs and statuses. MuJoCo is the judge."""
+"""Free solutions: branches, restarts, proofs and statuses, compared with MuJoCo."""
 
 import copy
 
@@ -9,7 +9,7 @@ import robot_ik as rik
 from robot_ik.errors import NotConvergedError, OptionError
 
 ROUNDING = 1e-6
-"""m. By so much MuJoCo and the compiled check may differ."""
+"""m. Largest difference of MuJoCo and the compiled check."""
 
 
 def shelf():
@@ -44,7 +44,7 @@ def test_poses_with_a_free_posture_are_reached_freely(name, obstacles):
         assert not robot.outside(solution.q)
 
 
-def test_a_touching_answer_is_replaced_by_the_nearest_free_branch():
+def test_a_touching_solution_is_replaced_by_the_nearest_free_branch():
     robot = rik.load_robot("ur5e")
     scene = rik.Scene(robot, shelf())
     avoid = rik.CollisionAvoidance(scene, margin=0.0)
@@ -116,19 +116,19 @@ def test_a_goal_inside_an_obstacle_is_blocked_not_unreachable():
     assert "ball" in solution.clearance.pair
 
 
-def test_what_is_out_of_reach_stays_unreachable():
+def test_a_goal_out_of_reach_stays_unreachable_with_collisions():
     robot = rik.load_robot("puma560")
     avoid = rik.CollisionAvoidance(rik.Scene(robot))
     solution = rik.solve(robot, (9.0, 0.0, 0.0), collisions=avoid)
     assert solution.status is rik.Status.UNREACHABLE
 
 
-def test_without_the_condition_every_answer_is_bit_equal():
+def test_without_the_condition_every_solution_is_bit_equal():
     robot = rik.load_robot("panda")
     avoid = rik.CollisionAvoidance(rik.Scene(robot), margin=0.0)
     for q in free_postures(avoid.scene, 0.0, 20):
         goal = robot.forward(q)
-        # ``auto`` begins with a closed form where there is a condition.
+        # With a condition ``auto`` begins with a closed form.
         for solver in ("auto", "lm"):
             before = rik.solve(robot, goal, solver=solver)
             after = rik.solve(robot, goal, solver=solver, collisions=avoid)
@@ -187,7 +187,7 @@ def test_several_goals_of_different_priority_and_a_free_base():
     assert solved >= 6
 
 
-def test_batches_answer_as_single_calls():
+def test_batches_equal_single_calls():
     robot = rik.load_robot("ur5e")
     scene = rik.Scene(robot, shelf())
     avoid = rik.CollisionAvoidance(scene, margin=0.0)
@@ -251,13 +251,13 @@ def test_a_copied_problem_keeps_the_condition():
     assert copy.copy(problem).collisions is avoid
 
 
-def test_every_solution_knows_its_clearance():
+def test_every_solution_has_its_clearance():
     robot = rik.load_robot("puma560")
     solution = rik.solve(robot, robot.forward(robot.home))
     assert solution.clearance.distance == rik.Scene(robot).clearance(solution.q).distance
 
 
-def test_limited_steps_lead_a_redundant_arm_out_without_a_restart():
+def test_limited_steps_free_a_redundant_arm_without_a_restart():
     """The elbow of the arm touches a ball; the hand stays where it is.
 
     Without limited steps and restarts none of these is solved.

@@ -1,4 +1,4 @@
-"""Arms of seven hinges: a free branch with the last joint near its start; MuJoCo is the judge."""
+"""Arms of seven hinges: a free branch with the last joint near its start, checked by MuJoCo."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 import robot_ik as rik
 
 ROUNDING = 1e-6
-"""m. By so much MuJoCo and the compiled check may differ."""
+"""m. Largest difference of MuJoCo and the compiled check."""
 
 LAST = "panda_joint7"
 
@@ -72,7 +72,7 @@ def test_a_path_does_not_jump(avoid):
     assert max(moved) < 0.2
 
 
-def test_a_free_start_at_the_goal_is_kept_and_a_touching_one_is_not(avoid):
+def test_a_free_start_at_the_goal_is_kept_and_a_touching_start_is_not(avoid):
     robot = avoid.scene.robot
     q = free_postures(avoid, 1, 5)[0]
     kept = rik.solve(robot, robot.forward(q), start=q, collisions=avoid)

@@ -147,7 +147,7 @@ def test_an_arm_that_stands_in_contact_is_led_out_but_not_further_in(
         ("ground = 0.3", "", ("collisions.ignore", "every posture", "ground")),
     ],
 )
-@pytest.mark.parametrize("command", ["move joint2=5", "play free.csv"])
+@pytest.mark.parametrize("command", ["move joint2=5", "replay free.csv"])
 def test_wrong_tables_are_named_and_nothing_is_sent(
     command: str,
     keys: str,

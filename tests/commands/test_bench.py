@@ -105,7 +105,7 @@ def test_problems_that_do_not_exist_take_one_line(
     arguments = "bench --solver lm ccd --robot humanoid --problems unreachable --count 5 --out"
     assert main([*arguments.split(), str(tmp_path)]) == 0
     (line, *_) = capsys.readouterr().out.splitlines()
-    assert line.startswith("humanoid, unreachable: nothing is out of its reach")
+    assert line.startswith("humanoid, unreachable: its reach is not bounded")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGINT for a child there")

@@ -40,9 +40,9 @@ XML = {
     "no model": "[" * 1000,
 }
 CSV = {
-    "long": "time_s,a\n" + "1" * 200_000 + ",2\n",
+    "long": "time_s,commanded.a\n" + "1" * 200_000 + ",2\n",
     "nothing": "",
-    "no number": "time_s,a\n0,nan\n",
+    "no number": "time_s,commanded.a\n0,nan\n",
 }
 
 COMMANDS: list[tuple[str, str, dict[str, str]]] = [

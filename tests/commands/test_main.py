@@ -136,6 +136,17 @@ def test_a_failed_import_of_mujoco_is_explained(robot_ik_child: Any) -> None:
     assert "MUJOCO_GL=nosuch is set" in run.err
 
 
+def test_calibrate_names_both_commands_that_it_may_mean(robot_ik: Any, tmp_path: Path) -> None:
+    run = robot_ik("calibrate", tmp_path / "mine.txt", "--bus", "sim")
+    assert run.code == 2
+    first, second = run.err.splitlines()
+    assert "robot-ik servo calibrate" in first
+    assert "robot-ik camera calibrate" in first
+    assert second.startswith("error: OUT.toml")
+    run = robot_ik("servo", "calibrate", tmp_path / "mine.txt", "--bus", "sim")
+    assert "camera calibrate" not in run.err
+
+
 def test_json_has_the_version_of_its_schema(trial: Any) -> None:
     run = trial(lambda: 1, "--json")
     assert run.code == 1 and json.loads(run.out) == {"schema": 1, "value": 1}

@@ -109,8 +109,8 @@ def test_the_table_of_the_motion_reads_back(healthy: ReachReport, saved: Path) -
     joints = healthy.robot.joints
     assert head == [
         "time_s",
-        *(f"{j}_commanded" for j in joints),
-        *(f"{j}_measured" for j in joints),
+        *(f"commanded.{j}" for j in joints),
+        *(f"measured.{j}" for j in joints),
     ]
     values = np.array(rows, dtype=float)
     np.testing.assert_allclose(

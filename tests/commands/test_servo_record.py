@@ -154,10 +154,10 @@ def test_a_recording_beyond_the_limits_prints_a_warning(
 @pytest.mark.parametrize(
     ("words", "named"),
     [
-        (("teach", "m.txt"), "m.txt; allowed: a name that ends in .csv"),
-        (("teach", "m.csv", "--seconds", "nan"), "--seconds"),
-        (("teach", "m.csv", "--rate", 0), "--rate"),
-        (("play", "no.csv"), "no.csv"),
+        (("record", "m.txt"), "m.txt; allowed: a name that ends in .csv"),
+        (("record", "m.csv", "--seconds", "nan"), "--seconds"),
+        (("record", "m.csv", "--rate", 0), "--rate"),
+        (("replay", "no.csv"), "no.csv"),
     ],
 )
 def test_wrong_input(
@@ -177,11 +177,11 @@ def test_wrong_input(
 @pytest.mark.parametrize(
     ("content", "named"),
     [
-        ("[]", "trajectory"),
-        ("time_s,joint1\n0.0,1.0\n", "joint1"),
-        ("time_s,a\n0.0,1.0\n", "ar --motion"),
-        ("time_s,joint1\n0.0,x\n", "line 2"),
-        ("time_s,joint1\n0.0,1.0\n0.0,1.0\n", "increase"),
+        ("[]", "table of joint positions"),
+        ("time_s,commanded.joint1\n0.0,1.0\n", "joint1"),
+        ("time_s,commanded.a\n0.0,1.0\n", "ar --motion"),
+        ("time_s,commanded.joint1\n0.0,x\n", "line 2"),
+        ("time_s,commanded.joint1\n0.0,1.0\n0.0,1.0\n", "increase"),
     ],
 )
 def test_wrong_recordings(

@@ -44,7 +44,7 @@ STARTS = 64
 """Random starts for each ball."""
 
 STRICT = (0.005, 0.010)
-"""Largest distance of palm and ball, and least margin of the centre of mass, m."""
+"""Largest distance of palm and ball, and smallest margin of the centre of mass, m."""
 
 LAX = (0.015, 0.0)
 """The same for border cases, m."""

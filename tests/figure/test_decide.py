@@ -25,7 +25,7 @@ from robot_ik.robot import load_robot
 
 Array = NDArray[np.float64]
 
-# The judge is a file beside this one and belongs to no package.
+# The judge is a file in this folder, outside all packages.
 _spec = importlib.util.spec_from_file_location("judge", Path(__file__).with_name("judge.py"))
 assert _spec is not None
 assert _spec.loader is not None
@@ -41,7 +41,7 @@ BALLS = {
 }
 
 JUDGED = Path(__file__).with_name("judged_balls.csv")
-"""Balls judged by 64 random starts each, some seconds a ball:
+"""Balls judged by 64 random starts each, some seconds per ball:
 ``python tests/figure/judge.py COUNT 2 > tests/figure/judged_balls.csv``"""
 
 
@@ -72,10 +72,10 @@ def test_every_action_is_decided_anywhere(
         ((1.0, 0.0, -0.1), "10 cm under the floor"),
         ((30.0, 0.0, 1.0), "outside the workspace of 8 m"),
         ((0.5, 0.5, 3.2), "out of reach, jumping too"),
-        ((0.0, 0.0, 0.0), "no stand point was found"),
+        ((0.0, 0.0, 0.0), "no stance was found"),
     ],
 )
-def test_nothing_has_a_reason(
+def test_doing_nothing_has_a_reason(
     decider: Decider, ball: tuple[float, ...] | None, reason: str
 ) -> None:
     decision = decider.decide(ball)
@@ -134,7 +134,7 @@ def test_the_nearer_arm_acts_and_the_last_one_in_the_middle(decider: Decider) ->
     assert decider.decide(middle, last=last).arm == "left"
 
 
-def test_a_figure_that_bends_continues_a_little_farther(decider: Decider) -> None:
+def test_a_bending_figure_continues_to_bend_a_little_farther(decider: Decider) -> None:
     """The ball is 1 cm above the highest one that a figure at rest bends for."""
     low = 1.9
     high = 2.4
@@ -167,7 +167,7 @@ def test_decisions_do_not_depend_on_place_and_heading(
 
 @pytest.mark.parametrize("kind", [REACH, BEND])
 def test_the_bundled_map_is_of_this_model(figure: Figure, abilities: Abilities, kind: str) -> None:
-    """Some points are solved again, with the tolerance of ``ReachMap.is_surely_out``."""
+    """Some points are solved again, with the tolerance of ``ReachMap.is_out_of_reach``."""
     rng = np.random.default_rng(3)
     reach_map = abilities.maps[kind, "right"]
     error = reach_map.error.ravel()
@@ -306,7 +306,9 @@ def test_the_judge_repeats_its_recorded_labels(figure: Figure) -> None:
 
 @pytest.mark.soak
 @pytest.mark.timeout(7200)
-def test_decisions_agree_on_a_thousand_balls_judged_now(figure: Figure, decider: Decider) -> None:
+def test_decisions_agree_with_the_judge_on_a_thousand_balls(
+    figure: Figure, decider: Decider
+) -> None:
     judge = judges.Judge(figure)
     balls = [
         (ball, judge.label(ball, judges.STARTS, k)) for k, ball in judges.drawn_balls(1000, 77)
@@ -314,8 +316,8 @@ def test_decisions_agree_on_a_thousand_balls_judged_now(figure: Figure, decider:
     require_agreement(decider, balls)
 
 
-def test_an_admissible_pose_is_not_left_for_another(figure: Figure) -> None:
-    """The natural pose hardly touches the body. From a colliding start the hand comes nearer."""
+def test_an_admissible_pose_is_kept(figure: Figure) -> None:
+    """The natural pose touches the body a little. A colliding start gives a smaller error."""
     ball = np.array([0.0648, -0.2155, 1.2582])
     starts = figure.posture({"left_shoulder_roll": -0.5})[None]
     nearer = best_pose(figure, ball, "right", REACH, starts)

@@ -1,4 +1,4 @@
-"""A figure gets another ball at a random moment: every pair of reach, bend, jump, walk and nothing.
+"""A figure gets another ball at a random moment, for every pair of reach, bend, jump, walk, none.
 
 No joint's speed changes suddenly, no speed limit is broken, and the feet stay where they stand. A
 walk ends at rest on both feet after its next steps. A jump never ends in the air.
@@ -111,7 +111,9 @@ def require_standing_feet(abilities: Abilities, frames: list[FigureFrame], name:
 
 
 @pytest.mark.parametrize("seed", [k for k, pair in enumerate(PAIRS) if pair[0] != pair[1]])
-def test_an_interrupted_action_goes_over_smoothly(abilities: Abilities, seed: int) -> None:
+def test_an_interrupted_action_changes_smoothly_into_the_next(
+    abilities: Abilities, seed: int
+) -> None:
     require_smooth(abilities, seed)
 
 
@@ -137,7 +139,7 @@ def test_a_ball_that_moves_at_the_end_of_a_reach_is_reached(
 
 @pytest.mark.soak
 @pytest.mark.timeout(3600)
-def test_hundreds_of_interruptions_go_over_smoothly(abilities: Abilities) -> None:
+def test_hundreds_of_interruptions_are_smooth(abilities: Abilities) -> None:
     """Of 475 at most two are abrupt."""
     abrupt: list[str] = []
     for seed in range(25, 500):

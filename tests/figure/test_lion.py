@@ -96,7 +96,7 @@ def gaze_error_deg(lion: Lion, q: Array, ball: Array) -> float:
         ((np.nan, 0.0, 0.0), "no ball"),
     ],
 )
-def test_a_ball_out_of_reach_is_left_alone(
+def test_nothing_is_done_for_a_ball_out_of_reach(
     lion: Lion, ball: tuple[float, ...], reason: str
 ) -> None:
     decision = lion.decide(ball)

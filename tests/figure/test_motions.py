@@ -103,7 +103,7 @@ def test_a_walk_ends_exactly_at_its_goal(figure: Figure, straight: Walk) -> None
 
 
 @pytest.mark.parametrize("goal", [(0.0, 0.0, np.pi), (0.0, 0.4, 0.0), (-0.3, 0.0, 0.0)])
-def test_small_steps_lead_anywhere_without_crossing_legs(
+def test_small_steps_reach_every_stance_without_crossing_legs(
     figure: Figure, goal: tuple[float, float, float]
 ) -> None:
     prints = shuffle_prints(figure, prints_of(figure, figure.home), np.array(goal))
@@ -126,7 +126,7 @@ def test_small_steps_lead_anywhere_without_crossing_legs(
         ("bend", (0.5, 0.0, 0.4)),
         # So near that the fastest motion changes a joint's speed suddenly.
         ("reach", (0.31, -0.07, 0.87)),
-        # On the straight way the forearm would touch the belly.
+        # On the straight path the forearm would touch the belly.
         ("reach", (0.21, -0.17, 1.65)),
         # With the fastest hand the zero-moment point would be beside the soles.
         ("reach", (0.475, -0.025, 0.845)),
@@ -184,7 +184,7 @@ def test_a_jump_flies_by_its_own_momentum(
     [(0.51, -0.01, 2.47), (0.08, -0.02, 2.39)],
     ids=["other arm at the belly", "acting arm at the head"],
 )
-def test_a_jump_in_which_bodies_would_touch_is_made_another_way(
+def test_a_jump_with_self_contact_is_replaced_by_a_variant(
     figure: Figure, abilities: Abilities, ball: tuple[float, ...]
 ) -> None:
     speed = abilities.take_off(np.array(ball), "right")
@@ -197,7 +197,7 @@ def test_a_jump_in_which_bodies_would_touch_is_made_another_way(
 
 
 def test_no_jump_is_tried_twice(figure: Figure, monkeypatch: pytest.MonkeyPatch) -> None:
-    """At the fastest take-off bodies touch. There is one other way: the arm aside, no faster."""
+    """Bodies touch at the fastest take-off. The only variant moves the arm aside, at this speed."""
     plans = []
     plan_jump = jump_module.plan_jump
 

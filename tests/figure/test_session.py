@@ -1,7 +1,6 @@
 """The running figure: modes, balls that move, frames without a front end, tables, the command."""
 
 import csv
-import io
 import json
 import subprocess
 import sys
@@ -13,11 +12,13 @@ import pytest
 from PIL import Image as Pictures
 
 from benchmarks.figure.motion import MotionMeasure, measure_motion
-from robot_ik.commands.figure_runs import FilmMaker, frames_table, record
+from robot_ik.commands.figure_film import FilmMaker, save_film
+from robot_ik.commands.figure_recording import save_recording
 from robot_ik.commands.main import main
 from robot_ik.errors import InvalidGoalError, OutputError
 from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.session import FigureFrame, FigureSession
+from robot_ik.motion import Keyframes
 
 
 def play(session: FigureSession, seconds: float) -> list[FigureFrame]:
@@ -75,7 +76,7 @@ def test_it_walks_to_a_ball_and_reaches_it(abilities: Abilities) -> None:
     assert measure.inside >= 0.93
 
 
-def test_a_walk_left_for_another_ball_ends_with_its_next_steps(abilities: Abilities) -> None:
+def test_a_walk_interrupted_by_another_ball_ends_with_its_next_steps(abilities: Abilities) -> None:
     session = FigureSession(abilities)
     session.set_ball((5.0, 0.0, 1.2))
     frames = play(session, 3.0)
@@ -111,7 +112,7 @@ def test_passive_mode_acts_on_the_frozen_ball(abilities: Abilities) -> None:
     assert session.figure.stance(session.step().q) == pytest.approx([2.0, 1.0, 1.5])
 
 
-def test_a_ball_that_moves_far_while_a_walk_is_planned_is_decided_upon_again(
+def test_a_ball_that_moves_far_during_the_planning_of_a_walk_gets_a_new_decision(
     abilities: Abilities,
 ) -> None:
     session = FigureSession(abilities)
@@ -138,14 +139,14 @@ def frames_of(abilities: Abilities, ball: tuple[float, float, float]) -> bytes:
 def test_the_same_balls_give_the_same_frames_beside_other_sessions(abilities: Abilities) -> None:
     """Frames do not depend on when the planner's thread is ready."""
     balls = [(0.5, 0.2, 1.4), (2.0, 0.5, 1.2), (0.2, -0.2, 2.35)]
-    alone = [frames_of(abilities, ball) for ball in balls]
+    separate = [frames_of(abilities, ball) for ball in balls]
     others = [Abilities(abilities.figure.duplicate(), abilities.maps) for _ in range(len(balls))]
     with ThreadPoolExecutor(len(balls)) as pool:
         together = list(pool.map(frames_of, others, balls))
-    assert together == alone
+    assert together == separate
 
 
-def test_a_closed_session_leaves_no_thread(abilities: Abilities) -> None:
+def test_a_closed_session_has_no_thread(abilities: Abilities) -> None:
     """The thread of the planner ends with the session."""
     code = (
         "import gc, threading\n"
@@ -165,25 +166,28 @@ def test_a_closed_session_leaves_no_thread(abilities: Abilities) -> None:
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_the_table_of_frames_reads_back_and_claims_true_contacts(abilities: Abilities) -> None:
+def test_a_recording_reads_back_and_claims_true_contacts(
+    abilities: Abilities, tmp_path: Path
+) -> None:
     session = FigureSession(abilities)
     session.set_ball((0.45, -0.25, 1.3))
     frames = play(session, 0.5)
-    lines = frames_table(session.figure, frames, seed=7).splitlines()
-    assert all(line.startswith("# ") for line in lines[:2])
-    assert "sha256" in lines[1]
-    rows = list(csv.DictReader(io.StringIO("\n".join(lines[2:]))))
+    file = tmp_path / "frames.csv"
+    robot = session.figure.robot
+    save_recording(robot, session.figure, frames, file, seed=7)
+    with file.open() as stream:
+        rows = list(csv.DictReader(stream))
     assert len(rows) == 30
     assert {row["left_contact"] for row in rows} == {"flat"}
-    model = session.figure.model
-    names = [model.joint(j).name for j in range(1, model.njnt)]
-    values = np.array([[float(row[name]) for name in names] for row in rows])
-    assert values == pytest.approx(np.array([frame.q[7:] for frame in frames]), abs=1e-9)
+    assert (Keyframes.load_csv(file, robot).q == [frame.q for frame in frames]).all()
     anchors = np.array([[float(row[f"left_anchor_{axis}"]) for axis in "xyz"] for row in rows])
     assert np.ptp(anchors, axis=0).max() < 1e-5
     assert abs(anchors[:, 2]).max() < 1e-5
-    assert rows[0]["seed"] == "7"
+    assert "sha256" in rows[0]["text"]
+    assert "seed 7" in rows[0]["text"]
+    assert rows[-1]["text"] == ""
     assert rows[-1]["hand"] == "right"
+    assert [float(rows[-1][f"goal_{axis}"]) for axis in "xyz"] == [0.45, -0.25, 1.3]
 
 
 def test_the_command_prints_decisions_and_writes_frames(
@@ -198,7 +202,7 @@ def test_the_command_prints_decisions_and_writes_frames(
     report = json.loads(capsys.readouterr().out)
     assert report["decisions"][0]["arm"] == "left"
     assert report["errors"][0]["error_m"] < 0.005
-    assert len(out.read_text().splitlines()) == report["frames"] + 3
+    assert len(out.read_text().splitlines()) == report["frames"] + 1
 
 
 def test_a_ball_is_three_finite_numbers(abilities: Abilities) -> None:
@@ -225,14 +229,14 @@ def test_a_film_shows_the_figure_its_ball_and_the_whole_reason(
     words = " ".join(maker.caption(frame).split("\n"))
     assert words == f"{frame.action} {frame.decision.reason}"
 
-    record(robot, [frame] * 8, tmp_path / "film.gif")
+    save_film(robot, [frame] * 8, tmp_path / "film.gif")
     with Pictures.open(tmp_path / "film.gif") as film:
         picture = np.asarray(film.convert("RGB"))[..., ::-1].astype(int)
     painted = FilmMaker(robot, size=(480, 360)).picture(frame)
     assert picture.shape == (360, 480, 3)
     assert np.abs(picture - painted).mean() < 1.0  # grey levels
     with pytest.raises(OutputError):
-        record(robot, [frame] * 8, tmp_path / "film.gif")
+        save_film(robot, [frame] * 8, tmp_path / "film.gif")
 
 
 def test_a_marker_in_the_pictures_of_a_camera_is_the_ball(
@@ -245,10 +249,10 @@ def test_a_marker_in_the_pictures_of_a_camera_is_the_ball(
     report = json.loads(capsys.readouterr().out)
     assert report["decisions"][-1]["action"] in ("reach", "walk")
     with frames.open() as file:
-        rows = list(csv.DictReader(line for line in file if line[0] != "#"))
-    ball = [float(rows[-1][f"target_{axis}"]) for axis in "xyz"]
+        rows = list(csv.DictReader(file))
+    ball = [float(rows[-1][f"goal_{axis}"]) for axis in "xyz"]
     scale = 0.40 / 1.75
-    # The board, on which the figure stands, moves by some centimetres.
+    # The board under the figure moves by some centimetres.
     assert np.abs(np.array(ball) - np.array([0.20, 0.10, 0.28]) / scale).max() < 0.35, ball
     assert main([*argv, "--video", str(tmp_path / "ar")]) == 0
     assert len(list((tmp_path / "ar").glob("*.png"))) == 3
@@ -274,6 +278,7 @@ def test_the_lion_is_a_figure_of_the_command(
         ("--ball 0 inf 0", "--ball"),
         ("--camera synthetic --path circle", "--camera: --path is given, too"),
         ("--camera synthetic --ball 0.5 0 1", "--camera: --ball is given, too"),
+        ("--record frames.txt", "has no known suffix"),
         ("--robot-pose nan 0 0", "--robot-pose"),
         ("--robot-pose 0 0 1", "--robot-pose"),
         ("--seconds 0", "--seconds"),

@@ -50,7 +50,7 @@ def test_hard_rows_hold_by_mujoco(figure: Figure) -> None:
 
 
 def test_a_momentum_row_keeps_the_angular_momentum(figure: Figure) -> None:
-    """An arm that swings in the air turns the rest the other way, by MuJoCo's momentum matrix."""
+    """A swinging arm turns the body in the air the other way, by MuJoCo's momentum matrix."""
     frames = 20
     rows = FrameRows(figure, frames)
     rows.center(figure.center(figure.home))

@@ -1,4 +1,4 @@
-"""Laws of the codec, the parsers, the servos and the driver that hold for any input.
+"""Laws of the codec, the parsers, the servos and the driver for any input.
 
 Each law takes the bytes of a fuzzer, converts them to pieces on a wire (``pieces``) and asserts.
 Some pieces are noise. Others are packets with a correct checksum, which random bytes would hardly

@@ -73,7 +73,7 @@ def test_row_03(lab):
     """all servos without power"""
     with lab.arm() as arm:
         fault = lab.fault(arm, BusTimeoutError, Fault("supply", value=0.0))
-        assert fault.everyone and str(fault).startswith("no servo answers on sim")
+        assert fault.all_servos and str(fault).startswith("no servo answers on sim")
         begin = arm.clock.now()
     assert arm.clock.now() - begin < 2.0 and len(arm.exit_report.unverified) == 6
 

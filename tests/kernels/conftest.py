@@ -14,7 +14,7 @@ from robot_ik.robot import Robot, load_robot
 
 NUMBER = st.integers(-600, 600).map(lambda i: i / 1000)
 VECTOR = st.tuples(NUMBER, NUMBER, NUMBER)
-# Axes and quaternions of any length but zero: MuJoCo normalises them, and so must the tree.
+# Axes and quaternions of any length except zero. MuJoCo and the tree normalise them.
 AXIS = VECTOR.filter(lambda v: sum(x * x for x in v) > 1e-4)
 QUATERNION = st.tuples(NUMBER, NUMBER, NUMBER, NUMBER).filter(
     lambda v: sum(x * x for x in v) > 1e-4
@@ -110,8 +110,8 @@ def load_xml(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Robot]:
 
 
 @pytest.fixture(scope="session")
-def roam() -> Callable[[Robot, np.random.Generator], np.ndarray]:
-    """``roam(robot, rng)``: any q at all, limits or not, quaternions of any length."""
+def draw_q() -> Callable[[Robot, np.random.Generator], np.ndarray]:
+    """``draw_q(robot, rng)``: any q, also outside the limits, with quaternions of any length."""
 
     def draw(robot: Robot, rng: np.random.Generator) -> np.ndarray:
         return rng.normal(size=robot.nq)
@@ -121,7 +121,7 @@ def roam() -> Callable[[Robot, np.random.Generator], np.ndarray]:
 
 @pytest.fixture(scope="session")
 def mujoco_at() -> Callable[[Robot, np.ndarray], mujoco.MjData]:
-    """``mujoco_at(robot, q)``: MuJoCo's own kinematics with the frozen joints where they stand."""
+    """``mujoco_at(robot, q)``: MuJoCo's kinematics, with the frozen joints at their values."""
 
     def at(robot: Robot, q: np.ndarray) -> mujoco.MjData:
         data = mujoco.MjData(robot.model)
@@ -135,7 +135,7 @@ def mujoco_at() -> Callable[[Robot, np.ndarray], mujoco.MjData]:
 
 @pytest.fixture(scope="session")
 def dof_addresses() -> Callable[[Robot], np.ndarray]:
-    """Where the robot's dq stands in MuJoCo's whole qvel."""
+    """Return the addresses of the robot's dq in MuJoCo's qvel."""
 
     def find(robot: Robot) -> np.ndarray:
         model = robot.model

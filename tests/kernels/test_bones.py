@@ -36,7 +36,7 @@ def angle_of(a, c, b):
 
 @kernel
 def locate_points(address):
-    """All points of a chain at search.q; the number of points of its path."""
+    """Locate all points of a chain at search.q; return the number of points of its path."""
     run = open_run(address)
     count_all_goals(run.goals, run.search)
     link_points(run.tree, run.goals, run.search, run.work)

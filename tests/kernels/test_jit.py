@@ -1,4 +1,4 @@
-"""The cache of compiled code is never stale, and a first compilation is logged once."""
+"""The cache of compiled code is never out of date, and a first compilation is logged once."""
 
 import ast
 import importlib
@@ -22,7 +22,7 @@ from robot_ik.kernels.jit import cache_folder
 print(cache_folder("robot_ik.kernels.kinematics"))
 """
 
-# A caller in one file and its callee in another: what numba's own cache gets wrong.
+# A caller in one file and its callee in another, for which numba's own cache is out of date.
 CALLER = """
 from robot_ik.kernels.jit import kernel
 from robot_ik.kernels.callee import twice
@@ -80,7 +80,7 @@ def run(code: str, **environment: str | Path) -> subprocess.CompletedProcess[str
 
 @pytest.fixture
 def copied(tmp_path: Path) -> Path:
-    """A copy of the compiled part of the package, to be changed at will."""
+    """A copy of the compiled part of the package, which a test can change."""
     for part in ("kernels", "solvers"):
         shutil.copytree(
             PACKAGE / part,
@@ -92,7 +92,7 @@ def copied(tmp_path: Path) -> Path:
     return tmp_path / "lib"
 
 
-def test_an_edit_starts_another_cache_for_what_it_concerns_and_for_nothing_else(
+def test_an_edit_starts_a_new_cache_for_dependent_modules_only(
     copied: Path, tmp_path: Path
 ) -> None:
     modules = [
@@ -124,7 +124,7 @@ def test_an_edit_starts_another_cache_for_what_it_concerns_and_for_nothing_else(
 
 
 def test_compiled_code_takes_constants_only_from_sources_that_its_cache_is_named_after() -> None:
-    """A number from any other folder would be baked in, and an edit of it would go unnoticed."""
+    """A constant from another folder would be compiled in, and an edit would have no effect."""
     for path in sorted(PACKAGE.rglob("*.py")):
         name = ".".join(("robot_ik", *path.relative_to(PACKAGE).with_suffix("").parts))
         if not re.search(r"^@(kernel|pure|literal|outlined)$", path.read_text(), re.MULTILINE):
@@ -146,7 +146,7 @@ def test_compiled_code_takes_constants_only_from_sources_that_its_cache_is_named
                     )
 
 
-def test_a_changed_callee_in_another_file_is_never_served_stale(copied: Path, tmp_path: Path):
+def test_a_changed_callee_in_another_file_recompiles_its_callers(copied: Path, tmp_path: Path):
     kernels = copied / "robot_ik" / "kernels"
     (kernels / "caller.py").write_text(CALLER)
     outputs = []
@@ -168,7 +168,7 @@ def test_a_changed_callee_in_another_file_is_never_served_stale(copied: Path, tm
 
 def test_a_cache_that_cannot_be_written_is_replaced_by_a_temporary_one(tmp_path: Path):
     blocked = tmp_path / "file"
-    blocked.write_text("no folder can be made below a file, whoever asks")
+    blocked.write_text("no folder can be created below a file")
     temporary = tmp_path / "tmp"
     temporary.mkdir()
     (tmp_path / "mine.py").write_text(MINE)
@@ -182,7 +182,7 @@ def test_a_cache_that_cannot_be_written_is_replaced_by_a_temporary_one(tmp_path:
     assert any(Path(folder).rglob("*.nbi"))
 
 
-def test_inner_code_has_no_machine_code_of_its_own_and_serves_other_entry_points_from_the_cache(
+def test_inner_code_is_cached_without_machine_code_for_several_entry_points(
     tmp_path: Path,
 ):
     (tmp_path / "mine.py").write_text(MINE)
@@ -209,7 +209,7 @@ except TypeError:
     }
 
 
-def test_a_first_compilation_is_said_once(tmp_path: Path, monkeypatch, caplog):
+def test_a_first_compilation_is_logged_once(tmp_path: Path, monkeypatch, caplog):
     monkeypatch.setattr(jit, "_announced", set())
     monkeypatch.setattr(jit, "cache_folder", lambda module: tmp_path)
     caplog.set_level(logging.INFO, logger="robot_ik.kernels")
@@ -228,7 +228,7 @@ def test_a_first_compilation_is_said_once(tmp_path: Path, monkeypatch, caplog):
     ]
 
 
-def test_importing_the_package_is_quick_work_and_loads_nothing_heavy():
+def test_importing_the_package_loads_no_large_module():
     done = run(
         "import sys, robot_ik\n"
         "print([m for m in ('numba', 'cv2', 'mujoco', 'numpy') if m in sys.modules])"
@@ -236,10 +236,10 @@ def test_importing_the_package_is_quick_work_and_loads_nothing_heavy():
     assert done.stdout.strip() == "[]", done.stderr
 
 
-def test_ctrl_c_while_machine_code_is_made_is_not_lost_and_the_next_call_works(
+def test_ctrl_c_during_compilation_is_raised_and_the_next_call_works(
     tmp_path: Path,
 ) -> None:
-    """There numba runs in a callback of ctypes, which drops what a handler raises."""
+    """At that time numba runs in a callback of ctypes, which drops the exception of a handler."""
     (tmp_path / "mine.py").write_text(MINE)
     code = """
 import os, signal
@@ -263,8 +263,8 @@ for _ in range(2):
     assert done.stdout.split() == ["interrupted", "4.0"], done.stderr
 
 
-def test_a_program_that_ends_while_a_thread_compiles_lets_it_stop_first(tmp_path: Path) -> None:
-    """Without the guard, LLVM ended under the thread: one process in fourteen crashed."""
+def test_a_program_stops_a_compiling_thread_before_its_end(tmp_path: Path) -> None:
+    """Without the guard LLVM ended during the compilation, and one process in fourteen crashed."""
     code = """
 import atexit, threading
 from numba.core import event

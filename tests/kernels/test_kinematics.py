@@ -25,7 +25,7 @@ def check_against_mujoco(robot, q, data, columns):
     sites = {robot.model.site(site).name for site in range(robot.model.nsite)}
     for body in range(1, robot.model.nbody):
         if robot.model.body(body).name in sites.union(robot.file.tools):
-            continue  # the name means that site or tool
+            continue  # a site or tool has this name
         pose = robot.forward(q, robot.model.body(body).name)
         np.testing.assert_allclose(pose.position, data.xpos[body], atol=EXACT * scale)
         np.testing.assert_allclose(pose.rotation.ravel(), data.xmat[body], atol=EXACT)
@@ -47,12 +47,12 @@ def check_against_mujoco(robot, q, data, columns):
 @settings(max_examples=50)
 @given(data=st.data(), seed=st.integers(0, 2**32))
 def test_random_trees_move_as_in_mujoco(
-    any_model, load_xml, mujoco_at, dof_addresses, roam, data, seed
+    any_model, load_xml, mujoco_at, dof_addresses, draw_q, data, seed
 ):
     drawn = data.draw(any_model)
     robot = load_xml(drawn.xml, drawn.joints)
     rng = np.random.default_rng(seed)
-    q = roam(robot, rng)
+    q = draw_q(robot, rng)
     columns = dof_addresses(robot)
     check_against_mujoco(robot, q, mujoco_at(robot, q), columns)
 
@@ -71,11 +71,11 @@ def test_random_trees_move_as_in_mujoco(
 
 @settings(max_examples=40)
 @given(data=st.data(), seed=st.integers(0, 2**32))
-def test_clip_gives_the_nearest_inside(any_model, load_xml, roam, data, seed):
+def test_clip_gives_the_nearest_q_inside_the_limits(any_model, load_xml, draw_q, data, seed):
     drawn = data.draw(any_model)
     robot = load_xml(drawn.xml, drawn.joints)
     rng = np.random.default_rng(seed)
-    q = roam(robot, rng)
+    q = draw_q(robot, rng)
     inside = robot.clip(q)
     tree = robot.tree
     for k, a, v in zip(tree.kind, tree.qadr, tree.vadr, strict=True):
@@ -89,7 +89,7 @@ def test_clip_gives_the_nearest_inside(any_model, load_xml, roam, data, seed):
             mujoco.mju_quat2Vel(before, q[a : a + 4] / np.linalg.norm(q[a : a + 4]), 1.0)
             if np.linalg.norm(before) <= robot.upper[v]:
                 assert np.array_equal(inside[a : a + 4], q[a : a + 4])
-            else:  # brought back to the cone along the shortest way: about the same axis
+            else:  # moved back to the cone by the shortest rotation, about the same axis
                 assert np.linalg.norm(vector) == pytest.approx(robot.upper[v], abs=1e-12)
                 assert np.linalg.norm(np.cross(vector, before)) < 1e-9 and vector @ before > 0
         else:
@@ -101,7 +101,7 @@ def test_clip_gives_the_nearest_inside(any_model, load_xml, roam, data, seed):
 
 
 @pytest.mark.parametrize("name", sorted(catalogue()))
-def test_shipped_models_move_as_in_mujoco(name, mujoco_at, dof_addresses):
+def test_bundled_models_move_as_in_mujoco(name, mujoco_at, dof_addresses):
     robot = load_robot(name)
     rng = np.random.default_rng(1)
     for q in [robot.home, *(robot.sample(rng) for _ in range(20))]:
@@ -112,7 +112,7 @@ BALL = """<mujoco><worldbody><body name="arm"><joint name="ball" type="ball"/><g
 <site name="tip" pos="1 0 0"/></body></worldbody></mujoco>"""
 
 
-def test_a_zero_quaternion_turns_nothing_as_in_mujoco(load_xml, mujoco_at):
+def test_a_zero_quaternion_is_the_identity_as_in_mujoco(load_xml, mujoco_at):
     robot = load_xml(BALL)
     zero = np.zeros(4)
     check_against_mujoco(robot, zero, mujoco_at(robot, zero), np.arange(3))
@@ -123,7 +123,7 @@ def test_a_zero_quaternion_turns_nothing_as_in_mujoco(load_xml, mujoco_at):
 @given(
     vector=st.tuples(*[st.floats(-1e-5, 1e-5)] * 3), scale=st.sampled_from([1e-6, 1e-3, 1.0, 1e5])
 )
-def test_small_and_large_turns_integrate_as_in_mujoco(load_xml, vector, scale):
+def test_small_and_large_rotations_integrate_as_in_mujoco(load_xml, vector, scale):
     robot = load_xml(BALL)
     step = np.array(vector) * scale
     expected = np.array([0.5, 0.5, -0.5, 0.5])
@@ -132,7 +132,7 @@ def test_small_and_large_turns_integrate_as_in_mujoco(load_xml, vector, scale):
     np.testing.assert_allclose(moved, expected, atol=EXACT)
 
 
-def test_a_rotated_tool_is_a_frame_like_any_other(load_xml):
+def test_a_rotated_tool_is_a_valid_frame(load_xml):
     robot = load_xml(
         """<mujoco><worldbody>
  <body name="arm" pos="0 0 1"><joint name="turn" axis="0 0 2"/><geom size="0.1"/>
@@ -149,7 +149,7 @@ def test_a_rotated_tool_is_a_frame_like_any_other(load_xml):
     assert not robot.jacobian([0.3], "fixed").any()
 
 
-def test_copies_own_their_arrays(load_xml):
+def test_copies_have_separate_arrays(load_xml):
     robot = load_xml(BALL)
     q = robot.sample(np.random.default_rng(0))
     expected = robot.forward(q).matrix

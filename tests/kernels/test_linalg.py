@@ -50,7 +50,7 @@ def problems(draw):
     bound = draw(st.sampled_from([0.01, 0.3, 3.0, np.inf]))
     low_bounds = -bound * rng.uniform(size=n)
     high_bounds = bound * rng.uniform(size=n)
-    for i in range(n):  # some joints stand at a bound
+    for i in range(n):  # some joints are at a bound
         if draw(st.integers(0, 3)) == 0:
             (low_bounds if draw(st.booleans()) else high_bounds)[i] = 0.0
     return matrix, rng.normal(size=n), low_bounds, high_bounds
@@ -60,7 +60,7 @@ def best(matrix, gradient, low_bounds, high_bounds):
     """The exact minimiser, by SciPy: min |R d - R^-T g|^2 with M = R^T R is the same problem."""
     upper = np.linalg.cholesky(matrix).T
     wanted = np.linalg.solve(upper.T, gradient)
-    # lsq_linear wants an interior: a joint with no range at all is taken out.
+    # lsq_linear needs an interior, so joints without a range are removed.
     some = high_bounds > low_bounds
     return some, lsq_linear(
         upper[:, some], wanted, (low_bounds[some], high_bounds[some]), method="bvls", tol=1e-14
@@ -69,13 +69,13 @@ def best(matrix, gradient, low_bounds, high_bounds):
 
 @settings(max_examples=100)
 @given(problems())
-def test_a_step_is_feasible_and_never_uphill(problem):
+def test_a_step_is_feasible_and_never_raises_the_cost(problem):
     matrix, gradient, low_bounds, high_bounds = problem
     pressed, step = solve(matrix, gradient, low_bounds, high_bounds)
     assert pressed >= 0
     assert (step >= low_bounds).all() and (step <= high_bounds).all()
     assert value(matrix, gradient, step) <= 1e-12
-    # It stands still only where no step inside the box leads down (Kuhn-Tucker).
+    # The step is zero only if no step inside the box reduces the cost (Kuhn-Tucker).
     if not step.any():
         stuck = (
             ((gradient <= 0) & (high_bounds >= 0) & (low_bounds == 0))
@@ -90,13 +90,13 @@ def test_a_step_is_feasible_and_never_uphill(problem):
 def test_a_step_is_the_minimiser_inside_the_box(problem):
     matrix, gradient, low_bounds, high_bounds = problem
     _, step = solve(matrix, gradient, low_bounds, high_bounds)
-    # Kuhn and Tucker's conditions, which for a convex problem hold at the minimum and nowhere else.
+    # The conditions of Kuhn and Tucker hold only at the minimum of a convex problem.
     slope = matrix @ step - gradient
     slack = 1e-9 * (1 + np.abs(matrix).max() * np.abs(step).max() + np.abs(gradient).max())
     assert (np.abs(slope[(step > low_bounds) & (step < high_bounds)]) <= slack).all()
     assert (slope[(step == low_bounds) & (low_bounds < high_bounds)] >= -slack).all()
     assert (slope[(step == high_bounds) & (low_bounds < high_bounds)] <= slack).all()
-    # SciPy's own solution is never better; now and then it stops early, and is worse.
+    # SciPy's solution is never better. It is sometimes worse, because SciPy stops early.
     some, free_step = best(matrix, gradient, low_bounds, high_bounds)
     other = np.zeros_like(step)
     other[some] = free_step
@@ -119,7 +119,7 @@ def test_a_matrix_that_is_not_positive_definite_is_refused():
     assert solve(np.full((2, 2), np.nan), np.ones(2), *wide)[0] == -1
 
 
-def test_no_freedom_at_all_is_no_step():
+def test_without_degrees_of_freedom_the_step_is_zero():
     assert solve(np.zeros((0, 0)), np.zeros(0), np.zeros(0), np.zeros(0))[0] == 0
 
 
@@ -149,7 +149,7 @@ def test_definite_systems_are_solved(n):
 
 @pytest.mark.parametrize("rows", [1, 3, 6, 12])
 @pytest.mark.parametrize("n", [1, 6, 9])
-def test_normal_equations_are_those_of_numpy(rows, n):
+def test_normal_equations_equal_those_of_numpy(rows, n):
     rng = np.random.default_rng(rows + n)
     jacobian = rng.normal(size=(rows, n))
     residual = rng.normal(size=rows)
@@ -170,7 +170,7 @@ def test_normal_equations_are_those_of_numpy(rows, n):
     damping=st.floats(-6, 0),
     bound=st.sampled_from([0.01, 0.3, 3.0]),
 )
-def test_a_step_solved_among_the_rows_is_the_same(m, more, seed, size, damping, bound):
+def test_the_step_of_the_system_of_rows_is_the_same(m, more, seed, size, damping, bound):
     rng = np.random.default_rng(seed)
     n = m + more
     jacobian = rng.normal(size=(m, n))

@@ -1,4 +1,4 @@
-"""A process that compiles kernels: it calls a function, reports, and is not left behind."""
+"""A process that compiles kernels: it calls a function, reports, and is ended."""
 
 from __future__ import annotations
 
@@ -66,14 +66,14 @@ def test_a_process_that_runs_is_ended(module: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("function", ["fail", "no_such_function"])
-def test_a_failure_is_no_error(module: str, function: str) -> None:
+def test_a_failed_process_raises_no_error(module: str, function: str) -> None:
     with Precompilation(f"{module}:{function}") as compilation:
         compilation.wait()
         assert compilation.process is not None
         assert compilation.process.returncode != 0
 
 
-def test_without_an_interpreter_nothing_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_an_interpreter_no_process_compiles(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "executable", "/no/such/python")
     with Precompilation("robot_ik.robot:load_robot", "puma560") as compilation:
         compilation.wait()

@@ -91,7 +91,9 @@ WEIGHT = st.sampled_from([0.0, 0.3, 1.0, 5.0])
 
 @settings(max_examples=40, phases=(Phase.generate,))
 @given(data=st.data(), seed=st.integers(0, 2**32))
-def test_zero_at_the_goal_and_an_exact_jacobian_elsewhere(any_model, load_xml, data, seed):
+def test_the_residual_is_zero_at_the_goal_and_the_jacobian_is_exact(
+    any_model, load_xml, data, seed
+):
     drawn = data.draw(any_model)
     robot = load_xml(drawn.xml, drawn.joints)
     rng = np.random.default_rng(seed)
@@ -115,7 +117,7 @@ def test_zero_at_the_goal_and_an_exact_jacobian_elsewhere(any_model, load_xml, d
         assert row[0] == pytest.approx(metres, abs=1e-9) or goal_weights[0] == 0.0
         assert row[1] == pytest.approx(radians, abs=2e-8) or goal_weights[1] == 0.0
         if radians > np.pi - 1e-3:
-            return  # within a step of pi the residual jumps, and differences say nothing; see below
+            return  # near pi the residual jumps, so differences are not valid; see below
     largest = np.abs(rows.jacobian).max(initial=0)
     np.testing.assert_allclose(
         rows.jacobian, differences(problem, here), atol=2e-6 * max(1, largest)
@@ -133,7 +135,7 @@ ONE_BALL = """<mujoco><worldbody><body name="b"><joint name="ball" type="ball"/>
         [0.0, 1e-12, 1e-8, 1e-5, 1e-3, 0.1, 2.0, 2.69, 2.7, 3.0, 3.14, np.pi - 1e-4]
     ),
 )
-def test_rotation_rows_are_exact_from_nothing_to_half_a_turn(load_xml, axis, angle):
+def test_rotation_rows_are_exact_from_zero_to_a_half_turn(load_xml, axis, angle):
     robot = load_xml(ONE_BALL)
     vector = angle * np.array(axis) / np.linalg.norm(axis)
     problem = Problem(robot, OrientationGoal(None, rotation_exp(vector)))
@@ -146,7 +148,7 @@ def test_rotation_rows_are_exact_from_nothing_to_half_a_turn(load_xml, axis, ang
 
 @pytest.mark.parametrize("axis", [(1, 0, 0), (0, -1, 0), (0, 0, 1), (1, 2, -3), (-1, 1e-9, 0)])
 @pytest.mark.parametrize("short", [0.0, 1e-15, 1e-12, 1e-9, 1e-6])
-def test_half_a_turn_has_a_finite_axis_and_the_whole_angle(axis, short):
+def test_a_half_turn_has_a_finite_axis_and_the_full_angle(axis, short):
     vector = (np.pi - short) * np.array(axis, dtype=float) / np.linalg.norm(axis)
     current = Pose((0, 0, 0), (0.4, -0.3, 0.8, 0.2))
     target = Pose((0, 0, 0), quat_multiply(rotation_exp(vector), current.wxyz))
@@ -158,7 +160,7 @@ def test_half_a_turn_has_a_finite_axis_and_the_whole_angle(axis, short):
         np.testing.assert_allclose(out, vector, atol=1e-7)
 
 
-def test_a_part_that_weighs_nothing_is_not_asked_for(load_xml):
+def test_a_part_with_weight_zero_has_no_rows(load_xml):
     robot = load_xml(ONE_BALL)
     far = PoseGoal(None, (9, 9, 9), (1, 0, 0, 0), position_weight=0.0)
     problem = Problem(robot, far, solver="lm")

@@ -1,4 +1,4 @@
-"""Random starts: inside the limits, spread over them, the same for the same seed."""
+"""Random starts: inside the limits, spread over their range, equal for equal seeds."""
 
 import numpy as np
 
@@ -35,9 +35,11 @@ def draw_many(address, out):
 
 
 def starts(robot, seed, count=2000, joints=None):
-    """Random starts (count, nq) for a goal that concerns some joints, or all."""
+    """Random starts (count, nq) for a goal that some joints move, or all."""
     weights = dict.fromkeys(joints or robot.joints, 1.0)
-    problem = Problem(robot, PostureGoal(q=robot.home, joints=weights, only=True), solver="lm")
+    problem = Problem(
+        robot, PostureGoal(q=robot.home, joints=weights, only_named=True), solver="lm"
+    )
     blocks = {
         "tree": robot.tree.block,
         "goals": problem.compiled.block,
@@ -76,13 +78,13 @@ def test_starts_are_inside_the_limits_and_fill_them(load_xml):
     assert np.abs(out[:, 3:6].mean(axis=0)).max() < 0.02  # no direction is preferred
 
 
-def test_the_same_seed_gives_the_same_bits_and_others_do_not(load_xml):
+def test_the_same_seed_gives_equal_bits_and_other_seeds_do_not(load_xml):
     robot = load_xml(MIXED)
     assert np.array_equal(starts(robot, 7, 50), starts(robot, 7, 50))
     assert not np.array_equal(starts(robot, 7, 50), starts(robot, 8, 50))
 
 
-def test_joints_that_do_not_matter_are_left_alone(load_xml):
+def test_joints_that_move_no_goal_keep_their_values(load_xml):
     robot = load_xml(MIXED)
     out = starts(robot, 3, 20, joints=("hinge", "ball"))
     assert not out[:, [1, 6, 7]].any() and np.array_equal(

@@ -1,4 +1,4 @@
-"""The exact Hessian against finite differences of the cost, and where it is not asked for."""
+"""The exact Hessian against finite differences of the cost, and the goals without it."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from robot_ik.problem import Problem
 from robot_ik.solvers.levenberg_marquardt import curvature_of_goals, has_curvature
 from tests.residual_rows import rows_at
 
-# Slides before and after hinges, a branch that the second goal alone hangs on.
+# Slides before and after hinges, and a branch that carries only the second goal.
 MIXED = """<mujoco><compiler angle="radian"/><worldbody>
 <body name="base"><joint name="rail" type="slide" axis="1 0.2 0"/><geom size="0.1"/>
  <body name="arm" pos="0 0 0.3"><joint name="shoulder" axis="0 1 0.1"/><geom size="0.1"/>
@@ -44,7 +44,7 @@ def write_curvature(address, jacobian, out):
 
 
 def parts(problem, q):
-    """The cost at q, JᵀJ and what it lacks (u, u), and whether that is known."""
+    """Return the cost at q, JᵀJ, the rest of the Hessian (u, u), and whether the rest is known."""
     rows = rows_at(problem, q)
     blocks = {
         "tree": problem.robot.tree.block,
@@ -85,7 +85,7 @@ CASES = [
     "goals", CASES, ids=lambda goals: "+".join(goal.name.split()[0] for goal in goals)
 )
 @pytest.mark.parametrize("stiff", [False, True])
-def test_it_is_what_gauss_newton_lacks(load_xml, goals, stiff):
+def test_it_is_the_part_of_the_hessian_without_gauss_newton(load_xml, goals, stiff):
     robot = load_xml(MIXED)
     problem = Problem(robot, goals)
     scale = problem.compiled.block.arrays["joint_scale"]
@@ -102,7 +102,7 @@ def test_it_is_what_gauss_newton_lacks(load_xml, goals, stiff):
         )
 
 
-def test_balls_parts_of_goals_and_coupled_joints_go_without(load_xml):
+def test_balls_partial_goals_and_coupled_joints_have_no_curvature(load_xml):
     assert not parts(Problem(load_xml(BALL), rik.PositionGoal("tool", (0, 0, 2))), [1.0, 0, 0, 0])[
         3
     ]

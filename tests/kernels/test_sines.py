@@ -29,7 +29,7 @@ def test_equal_to_the_library_to_rounding(angle):
     assert abs(cosine - math.cos(angle)) <= 2.3e-16
 
 
-def test_what_is_not_finite_has_none():
+def test_numbers_that_are_not_finite_give_nan():
     for angle in (math.inf, -math.inf, math.nan):
         assert all(math.isnan(x) for x in sine_and_cosine(angle))
 

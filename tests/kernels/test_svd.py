@@ -56,7 +56,7 @@ def test_values_and_vectors(matrix):
     np.testing.assert_allclose(sigma / size, exact / size, atol=1e-14)
     assert (np.diff(sigma) <= 1e-15 * size).all()  # the largest first
     np.testing.assert_allclose((left.T * (sigma / size)) @ right, matrix / size, atol=2e-14)
-    some = sigma > 1e-12 * size  # the vectors of noise point anywhere
+    some = sigma > 1e-12 * size  # other singular vectors are arbitrary
     unit = np.eye(int(some.sum()))
     np.testing.assert_allclose(left[some] @ left[some].T, unit, atol=1e-12)
     np.testing.assert_allclose(right[some] @ right[some].T, unit, atol=1e-12)
@@ -64,18 +64,18 @@ def test_values_and_vectors(matrix):
 
 @settings(max_examples=100)
 @given(matrices())
-def test_the_pseudoinverse_made_of_it_is_numpys(matrix):
+def test_the_pseudoinverse_from_the_svd_equals_that_of_numpy(matrix):
     left, sigma, right = decompose(matrix)
     exact = np.linalg.svd(matrix, compute_uv=False)
     if exact[0] == 0.0 or ((exact / exact[0] > 1e-13) & (exact / exact[0] < 0.9e-4)).any():
-        return  # ill-conditioned: the inverse of noise proves nothing
+        return  # ill-conditioned: the inverse consists of rounding errors
     used = sigma > 1e-5 * sigma[0]
     mine = (right[used].T / (sigma[used] / exact[0])) @ left[used]
     np.testing.assert_allclose(mine, np.linalg.pinv(matrix / exact[0], rcond=1e-5), atol=1e-6)
 
 
 @pytest.mark.parametrize("shape", [(3, 3), (2, 5), (5, 2), (3, 0), (0, 0)])
-def test_nothing_but_zeros(shape):
+def test_a_zero_matrix_has_zero_singular_values(shape):
     left, sigma, right = decompose(np.zeros(shape))
     assert not sigma.any() and np.isfinite(left).all() and np.isfinite(right).all()
     assert not ((left.T * sigma) @ right).any()

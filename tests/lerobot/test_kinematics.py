@@ -19,7 +19,7 @@ def so101():
     return robot, Kinematics(robot, "gripper", [*robot.joints[:5], "gripper"])
 
 
-def test_forward_is_mujocos_in_degrees():
+def test_forward_kinematics_equals_mujoco_in_degrees():
     robot, kinematics = so101()
     rng = np.random.default_rng(0)
     for _ in range(5):
@@ -72,7 +72,7 @@ def test_without_orientation_only_the_position_counts():
     assert np.linalg.norm(kinematics.forward_kinematics(found)[:3, 3] - target[:3, 3]) < 1e-3
 
 
-def test_six_joints_meet_the_whole_pose():
+def test_six_joints_meet_the_full_pose():
     robot = rik.load_robot("puma560")
     kinematics = Kinematics("puma560")
     rng = np.random.default_rng(3)

@@ -44,7 +44,7 @@ def extent(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[float
 
 
 def quarter(count: int) -> tuple[int, int]:
-    """Cosine and sine of so many right angles, exact."""
+    """Return the exact cosine and sine of a number of right angles."""
     return ((1, 0), (0, 1), (-1, 0), (0, -1))[count % 4]
 
 
@@ -73,7 +73,7 @@ def solve(model: mujoco.MjModel, tool: str, position: Array, rotation: Array) ->
 
 
 def check_way_from_ready(model: mujoco.MjModel, q: Array | None, body: str, above: float) -> None:
-    """Straight in joint space nothing touches; at the end that body is so high."""
+    """Check that a straight line in joint space is free, and the height of a body at its end."""
     assert q is not None
     lower, upper = model.jnt_range.T
     assert np.minimum(q - lower, upper - q).min() > math.radians(4)

@@ -25,12 +25,12 @@ MODELS = Path(__file__).parents[2] / "models"
 class Arm:
     name: str
     tool: str
-    inside_deg: float  # keyframes: so far inside the limits,
-    regular: float  # so far from singular,
-    down: float  # and so far the tool looks down: the cosine
+    inside_deg: float  # smallest distance of a keyframe from the limits
+    regular: float  # smallest distance of a keyframe from a singular pose
+    down: float  # smallest cosine between the tool and the downward direction at a keyframe
     forces: tuple[float, ...]  # of the actuators, N m
     mass: Any  # of all bodies, kg
-    folded_deg: tuple[float, ...]  # here it touches itself: its geoms collide where metal would
+    folded_deg: tuple[float, ...]  # joint angles at which the arm touches itself
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -119,7 +119,7 @@ def test_keyframes_are_inside_limits_free_and_regular(arm: Arm, key: str) -> Non
 
 
 @named(ARMS)
-def test_folding_it_is_a_contact(arm: Arm) -> None:
+def test_a_folded_arm_is_in_contact(arm: Arm) -> None:
     assert touching(arm.model, posed(arm.model, np.radians(arm.folded_deg)))
 
 
@@ -217,7 +217,7 @@ def test_markers_on_the_table_are_reached_without_contact(
 
 @pytest.mark.parametrize("name", ["panda", "ur5e"])
 def test_reach_is_reached_and_two_sides_of_the_cube_face_the_camera(name: str) -> None:
-    """The whole job on the simulated bus; the PUMA's and the desk arms' have tests of their own."""
+    """A complete reach on the simulated bus. The PUMA and the desk arms have separate tests."""
     report = Reach(robot=name, bus="sim").run()
     assert report.ok and not report.judged.blind
     assert report.judged.by_camera is not None and report.judged.q is not None

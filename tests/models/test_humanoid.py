@@ -87,7 +87,7 @@ def posed(joints: dict[str, float] | None = None) -> mujoco.MjData:
     return data
 
 
-def test_nine_parts_have_the_freedoms_of_arkineman() -> None:
+def test_nine_parts_have_the_degrees_of_freedom_of_arkineman() -> None:
     """Torso, head, shoulders and pelvis have two joints each, limbs 3 + 1 + 2. The torso floats."""
     parts = list(reported()["groups"].items())[:9]
     freedoms = {name: len([joint for joint in joints if joint != "root"]) for name, joints in parts}
@@ -187,7 +187,7 @@ def test_joint_speed_limits_cover_every_hinge_in_both_sets() -> None:
             assert any(fnmatch(joint, pattern) for pattern in rows), (name, joint)
 
 
-def test_centre_of_mass_of_the_whole_is_a_mans() -> None:
+def test_the_centre_of_mass_is_that_of_a_man() -> None:
     """Standing men have it at 55 to 58 % of their stature, over the feet."""
     data = posed()
     assert 0.55 < data.subtree_com[0][2] / STATURE < 0.58
@@ -225,7 +225,7 @@ def test_joint_ranges_are_those_of_the_table() -> None:
 def test_positive_is_flexion_abduction_inward(
     side: str, joint: str, site: str, axis: int, sign: int
 ) -> None:
-    """Which way a positive angle moves hand or toe; y counts outwards on either side."""
+    """Check the direction in which a positive angle moves hand or toe; y is outwards."""
     moved = (
         posed({f"{side}_{joint}": 0.1}).site(f"{side}_{site}").xpos
         - posed().site(f"{side}_{site}").xpos
@@ -245,7 +245,7 @@ def test_bending_and_nodding_forward_are_positive() -> None:
     assert model.joint("head_pitch").range[1] > 0
 
 
-def test_frames_are_where_they_are_said_to_be() -> None:
+def test_frames_have_the_positions_of_the_readme() -> None:
     data = posed()
     robot = rik.load_robot("humanoid")
     home = mujoco.MjData(load())
@@ -288,7 +288,7 @@ def test_shapes_are_mirrored_and_touch_where_bodies_would() -> None:
     assert posed({"left_shoulder_roll": -0.3, "left_elbow_pitch": 0.2}).ncon > 0
 
 
-def test_readme_and_robot_toml_name_what_there_is() -> None:
+def test_readme_and_robot_toml_name_existing_parts() -> None:
     model = load()
     text = (FOLDER / "README.md").read_text()
     names = {model.joint(j).name for j in range(model.njnt)}

@@ -62,7 +62,7 @@ def test_keyframes_stand_flat_balanced_free_and_inside_limits(key: str) -> None:
     assert np.linalg.norm(data.qpos[3:7]) == pytest.approx(1, abs=1e-15)
 
 
-def test_keyframes_are_what_their_names_say() -> None:
+def test_keyframes_match_their_names() -> None:
     arms = posed(key="t_pose")
     for side, sign in (("left", 1), ("right", -1)):
         hand = arms.site(f"{side}_hand").xpos
@@ -117,7 +117,7 @@ def test_mirrored_pose_has_mirrored_frames(pose: dict[str, float], roll: float, 
 
 
 @pytest.mark.parametrize(("key", "floor"), [("home", 0.02), ("squat", 0.01), ("t_pose", 0.0)])
-def test_limbs_have_six_freedoms_where_the_readme_says(key: str, floor: float) -> None:
+def test_limbs_have_six_degrees_of_freedom_as_in_the_readme(key: str, floor: float) -> None:
     """Rank 6 at home and squatting; at t_pose knees and shoulders are singular."""
     for limb, frame in (("left_leg", "left_foot"), ("left_arm", "left_hand")):
         part = rik.load_robot("humanoid", joints=limb)
@@ -162,8 +162,8 @@ def test_hands_reach_while_the_feet_stay(hands: dict[str, tuple[float, float, fl
         )
 
 
-def test_the_feet_hold_a_wide_stance() -> None:
-    """Two ankle joints, one of them oblique, still set the sole flat wherever the leg stands."""
+def test_the_feet_stay_flat_in_a_wide_stance() -> None:
+    """Two ankle joints, one of them oblique, keep the sole flat for every leg posture."""
     robot = figure()
     wide = []
     for side, sign in (("left", 1), ("right", -1)):

@@ -124,7 +124,7 @@ def test_size_and_mass_of_a_grown_lion() -> None:
     )
 
 
-def test_frames_are_where_they_are_said_to_be() -> None:
+def test_frames_have_the_positions_of_the_readme() -> None:
     data = posed()
     robot = lion_robot()
     for name in reported()["tools"]:
@@ -168,7 +168,7 @@ def test_keyframes_rest_on_flat_paws_free_and_inside_limits(key: str) -> None:
     assert paws[:, 0].min() - 0.1 < data.subtree_com[0][0] < paws[:, 0].max()
 
 
-def test_keyframes_are_what_their_names_say() -> None:
+def test_keyframes_match_their_names() -> None:
     stands = posed(key="relaxed")
     sits = posed(key="sitting")
     assert reported()["home"] == "relaxed"
@@ -242,7 +242,7 @@ def test_shapes_are_mirrored_and_touch_where_bodies_would() -> None:
 
 @pytest.mark.parametrize("paw", PAWS)
 @pytest.mark.parametrize("key", KEYS)
-def test_every_paw_has_all_six_freedoms(key: str, paw: str) -> None:
+def test_every_paw_has_six_degrees_of_freedom(key: str, paw: str) -> None:
     legs = rik.load_robot("lion", joints=f"{paw[:-4]}_leg")
     start = np.array(
         [load().key(key).qpos[load().joint(joint).qposadr[0]] for joint in legs.joints]
@@ -293,7 +293,7 @@ def test_motors_hold_every_keyframe_on_the_floor(key: str) -> None:
     assert data.body("chest").xmat[8] > 0.5
 
 
-def test_readme_and_robot_toml_name_what_there_is() -> None:
+def test_readme_and_robot_toml_name_existing_parts() -> None:
     model = load()
     text = (FOLDER / "README.md").read_text()
     names = {model.joint(j).name for j in range(model.njnt)}

@@ -26,7 +26,7 @@ AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 @dataclass(frozen=True)
 class OwnedArm:
-    """A model folder as tests look at it.
+    """A model folder, with the data that the tests need.
 
     Attributes:
         name: Of the folder.
@@ -65,7 +65,7 @@ class OwnedArm:
         return mujoco.MjModel.from_xml_path(str(self.folder / "scene.xml"))
 
     def rows(self, head: str) -> list[list[str]]:
-        """Cells of the README's table that starts so."""
+        """Return the cells of the README's table with this head."""
         lines = self.readme[self.readme.index(head) :].split("\n\n")[0].splitlines()[2:]
         return [
             [cell.strip().strip("`").replace("−", "-") for cell in line.strip("|").split("|")]
@@ -224,7 +224,7 @@ def test_limits_servos_and_speeds_agree(arm: OwnedArm) -> None:
     assert tuple(table) == robot.joints == config.names
     spans = np.radians(list(table.values()))
     np.testing.assert_allclose(np.stack([robot.lower, robot.upper], axis=1), spans, atol=2e-6)
-    # The arm file is nowhere wider than the model, and narrower by a servo's tick or so at most.
+    # The arm file's range is never wider than that of the model, and a few ticks narrower at most.
     assert np.all(config.lower >= robot.lower - 1e-9) and np.all(config.upper <= robot.upper + 1e-9)
     assert np.all(config.upper - config.lower > 0.999 * (robot.upper - robot.lower) - 0.004)
     assert np.all(config.velocity >= robot.velocity_limits)
@@ -278,8 +278,8 @@ def test_every_keyframe_is_inside_the_limits_and_touches_nothing(arm: OwnedArm) 
             assert np.all(qpos >= lower) and np.all(qpos <= upper), model.key(k).name
 
 
-def test_an_arm_folded_into_itself_is_a_contact(arm: OwnedArm) -> None:
-    """Some random poses touch and most do not, so the exclusions are right in number."""
+def test_an_arm_folded_into_itself_is_in_contact(arm: OwnedArm) -> None:
+    """Some random poses touch and most do not, so the number of exclusions is plausible."""
     rng = np.random.default_rng(0)
     hits = 0
     for _ in range(300):
@@ -287,7 +287,7 @@ def test_an_arm_folded_into_itself_is_a_contact(arm: OwnedArm) -> None:
     assert 5 <= hits <= 120
 
 
-def test_its_own_actuators_hold_the_home_pose(arm: OwnedArm) -> None:
+def test_the_actuators_hold_the_home_pose(arm: OwnedArm) -> None:
     data = arm.posed(arm.robot.home)
     data.ctrl[:] = arm.model.key("home").ctrl
     for _ in range(500):
@@ -318,7 +318,7 @@ def test_six_joints_have_all_branches_in_closed_form(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", FIVE)
-def test_five_joints_solve_a_place_with_one_axis_and_not_every_pose(name: str) -> None:
+def test_five_joints_reach_a_position_with_one_axis_but_not_every_pose(name: str) -> None:
     robot = ARMS[name].robot
     rng = np.random.default_rng(2)
     for k in range(30):
@@ -326,7 +326,7 @@ def test_five_joints_solve_a_place_with_one_axis_and_not_every_pose(name: str) -
         goal = rik.PoseGoal(None, pose.position, pose.wxyz, free_axis="z")
         found = rik.solve(robot, goal, seed=k)
         assert found.converged and found.error.position < 1e-4 and found.error.angle < 1e-3
-    # Leaning out of the upright plane of the arm: no place in reach has that.
+    # The tool axis is outside the vertical plane of the arm, which is impossible at any position.
     side = rik.PoseGoal(
         None, robot.forward(robot.home).position, (0.5, -0.5, 0.5, 0.5), free_axis="z"
     )
@@ -334,7 +334,7 @@ def test_five_joints_solve_a_place_with_one_axis_and_not_every_pose(name: str) -
 
 
 @pytest.mark.parametrize("name", FIVE)
-def test_what_the_readme_of_a_five_joint_arm_shows_runs(name: str) -> None:
+def test_the_code_in_the_readme_of_a_five_joint_arm_runs(name: str) -> None:
     (code,) = re.findall(r"```python\n(.*?)```", ARMS[name].readme, re.DOTALL)
     exec(compile(code, f"{name}/README.md", "exec"), {})
 

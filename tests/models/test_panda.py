@@ -107,7 +107,7 @@ def test_flange_is_dh_frame_8(q: Array) -> None:
 
 
 @given(q=angles)
-def test_masses_are_the_identified_ones(q: Array) -> None:
+def test_masses_are_the_identified_masses(q: Array) -> None:
     model = load("panda.xml")
     data = posed(model, q)
     for link, (frame, (mass, centre, moments)) in enumerate(zip(dh_frames(q), LINKS, strict=True)):
@@ -135,7 +135,7 @@ def test_joints_and_limits_equal_the_source() -> None:
     assert np.array_equal(model.jnt_range, np.stack([LOWER, UPPER], axis=1))
 
 
-def test_hand_is_turned_by_minus_45_degrees_about_the_flange() -> None:
+def test_the_hand_is_rotated_by_minus_45_degrees_about_the_flange() -> None:
     data = posed(load("panda.xml"), load("panda.xml").key("ready").qpos)
     origin, rotation = site(data, "flange")
     h = math.sqrt(0.5)

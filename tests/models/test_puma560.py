@@ -152,7 +152,7 @@ def test_arm_toml_names_every_joint_and_covers_the_model(model: mujoco.MjModel) 
         for key in (
             "home",
             "ready",
-        ):  # whole turns are forgotten at power-off: start inside the first
+        ):  # servos lose full turns at power-off, so the start is inside the first turn
             assert 256 < servo_ticks(row, math.degrees(model.key(key).qpos[i])) < 4095 - 256, (
                 row,
                 key,

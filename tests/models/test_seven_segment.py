@@ -85,7 +85,7 @@ def test_upright_at_zero_and_the_last_twist_moves_no_point() -> None:
     assert posed(model, q).site("tip").xpos == pytest.approx(before, abs=1e-12)
 
 
-def test_the_shipped_arm_is_free_and_the_limited_one_is_its_variant() -> None:
+def test_the_bundled_arm_has_no_limits_and_its_variant_has_them() -> None:
     free = load_robot("seven_segment")
     limited = load_robot(FOLDER / "limited.xml")
     assert free.joints == limited.joints == JOINTS and free.tool == limited.tool == "tip"
@@ -99,7 +99,7 @@ def test_the_shipped_arm_is_free_and_the_limited_one_is_its_variant() -> None:
     assert np.array_equal(narrowed.home, limited.home) and np.array_equal(free.home, limited.home)
 
 
-def test_the_readme_makes_the_limited_arm() -> None:
+def test_the_code_in_the_readme_builds_the_limited_arm() -> None:
     text = (FOLDER / "README.md").read_text(encoding="utf-8")
     names: dict[str, object] = {}
     exec(text.split("```python\n")[1].split("```")[0], names)
@@ -121,7 +121,7 @@ def test_keyframes_are_inside_the_limits_free_and_regular(file: str, key: str) -
     assert np.linalg.svd(jacobian, compute_uv=False).min() > 0.5
 
 
-def test_rolling_up_is_a_contact_and_leaning_is_not() -> None:
+def test_a_rolled_up_arm_is_in_contact_and_a_leaning_arm_is_not() -> None:
     model = load("seven_segment.xml")
     bends = np.arange(21) % 3 == 1
     assert (

@@ -100,7 +100,7 @@ def test_limits_are_those_of_the_official_model(model):
     assert np.array(limits) == pytest.approx(np.array(OFFICIAL_LIMITS), abs=1e-5)
 
 
-def test_no_shape_is_a_mesh(model):
+def test_the_model_has_no_meshes(model):
     assert model.nmesh == 0
 
 

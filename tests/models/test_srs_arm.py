@@ -71,7 +71,7 @@ def test_shoulder_and_wrist_are_points_and_the_elbow_has_no_offset(q: Array) -> 
 
 
 def test_the_elbow_swivels_without_moving_the_hand() -> None:
-    """What makes it a limb: one freedom is left over at every pose, and it moves the elbow."""
+    """One degree of freedom remains at every pose, and it moves the elbow."""
     model = load("srs_arm.xml")
     data = posed(model, model.key("ready").qpos)
     jacobian = np.zeros((6, 7))

@@ -28,7 +28,7 @@ ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "models" / "tabletop_puma"
 README = (FOLDER / "README.md").read_text(encoding="utf-8")
 JOINTS = tuple(f"joint{i}" for i in range(1, 7))
-# ROBOTIS e-manual, specification tables, kg; which servo is where is the README's.
+# ROBOTIS e-manual, specification tables, kg. The README assigns the servos to the joints.
 SERVO_MASS = {"XM430-W210": 0.082, "XM430-W350": 0.082, "XL430-W250": 0.0572, "XL330-M288": 0.018}
 
 
@@ -53,7 +53,7 @@ def carrying() -> np.ndarray:
 
 
 def rows(head: str) -> list[list[str]]:
-    """Cells of the README's table that starts so."""
+    """Return the cells of the README's table with this head."""
     lines = README[README.index(head) :].split("\n\n")[0].splitlines()[2:]
     return [
         [cell.strip().replace("−", "-") for cell in line.strip("|").split("|")] for line in lines
@@ -117,7 +117,7 @@ def test_flange_is_frame_6_of_the_dh_table_in_the_readme(q: Array) -> None:
     assert np.abs(data.site("gripper").xpos - gripper).max() < 1e-12
 
 
-def test_lengths_are_the_pumas_scaled() -> None:
+def test_lengths_are_the_scaled_lengths_of_the_puma() -> None:
     puma = {"a2": 0.4318, "a3": 0.0203, "d3": 0.15005, "d4": 0.4318}
     table = dh_table()
     ours = {"a2": table[1][0], "a3": table[2][0], "d3": table[2][2], "d4": table[3][2]}
@@ -138,7 +138,7 @@ def test_limits_are_those_of_the_readme_and_of_the_arm_file() -> None:
         assert 50 <= first < last <= 4045, joint.name
 
 
-def test_masses_are_those_of_the_readme_and_servos_weigh_what_the_maker_says() -> None:
+def test_masses_are_those_of_the_readme_and_of_the_servo_maker() -> None:
     model = load()
     reported = {name.strip("`"): float(grams) / 1000 for name, grams in rows("| body | mass")}
     have = {model.body(b).name: float(model.body_mass[b]) for b in range(model.nbody)}
@@ -195,8 +195,8 @@ def test_torques_leave_the_margins_that_the_readme_promises() -> None:
     assert np.all(load_.moving.max(axis=0) < can.at_speed)
 
 
-def test_static_loads_equal_what_the_lifted_weight_says() -> None:
-    """Stretched out level, joint 2 bears all later links: a moment of masses and positions."""
+def test_static_loads_equal_the_moment_of_the_later_links() -> None:
+    """Stretched out level, joint 2 carries all later links: a moment of masses and positions."""
     make = torques()
     model = make.loaded_model(robot())
     q = np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])
@@ -209,7 +209,7 @@ def test_static_loads_equal_what_the_lifted_weight_says() -> None:
     assert sum(model.body_mass) - sum(load().body_mass) == pytest.approx(0.1)
 
 
-def test_analytic_knows_eight_branches() -> None:
+def test_analytic_has_eight_branches() -> None:
     q = np.radians([40.0, 70.0, -140.0, 60.0, 50.0, -30.0])
     pose = robot().forward(q, "flange")
     goal = rik.PoseGoal("flange", pose.position, pose.wxyz)
@@ -254,7 +254,7 @@ def test_home_is_free_and_far_from_the_limits(xml: str) -> None:
     np.testing.assert_allclose(np.degrees(home[:6]), [0, 75, -165, 0, -90, 0], atol=1e-9)
 
 
-def test_folding_the_gripper_onto_the_shoulder_is_a_contact() -> None:
+def test_a_gripper_folded_onto_the_shoulder_is_in_contact() -> None:
     assert touching(load(), posed(load(), np.radians([0.0, 90.0, -225.0, 0.0, -100.0, 0.0])))
 
 

@@ -82,7 +82,7 @@ def test_flange_is_dh_frame_6(q: Array) -> None:
 
 
 @given(q=angles)
-def test_masses_sit_where_the_maker_has_them(q: Array) -> None:
+def test_masses_and_centres_are_those_of_the_maker(q: Array) -> None:
     model = load("ur5e.xml")
     data = posed(model, q)
     for link, (frame, (mass, centre)) in enumerate(zip(dh_frames(q), LINKS, strict=True)):

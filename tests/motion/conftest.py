@@ -45,5 +45,5 @@ def number_robot():
 
 @pytest.fixture(scope="session")
 def puma():
-    """The shipped PUMA 560."""
+    """The bundled PUMA 560."""
     return load_robot("puma560")

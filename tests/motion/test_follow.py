@@ -1,4 +1,4 @@
-"""`follow` on the PUMA in virtual time: what is sent, how far, how often."""
+"""`follow` on the PUMA in virtual time: commands, step sizes and ticks."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_a_slower_follower_takes_smaller_steps(puma):
 
 
 def test_a_capped_step_slows_all_joints_alike(puma):
-    """The first command lies on the straight way to the first solution."""
+    """The first command is on the straight line to the first solution."""
     recorded_ticks = []
     run(puma, ManualSource(beside(puma, (0.0, -0.3, 0.1))), on_tick=recorded_ticks.append)
     assert recorded_ticks[0].capped
@@ -81,7 +81,7 @@ def test_the_tool_stays_on_a_moving_goal(puma):
     assert np.abs(np.diff(path.q, axis=0)).max() <= max(puma.velocity_limits) / 100.0 * (1 + 1e-9)
 
 
-def test_goals_may_change_kind_and_go_away_on_the_way(puma):
+def test_goals_may_change_their_kind_or_end_while_following(puma):
     pose = beside(puma, (0.0, -0.1, 0.0))
     up = np.array([0.0, 0.0, 0.05])
     point = PositionGoal("flange", position=puma.forward(puma.home, "flange").position + up)
@@ -110,7 +110,7 @@ def test_several_goals_at_once_are_one_goal(puma):
         )
 
 
-def test_an_unreachable_goal_is_approached_and_does_not_shake_the_arm(puma):
+def test_an_unreachable_goal_is_approached_without_oscillation(puma):
     report, path = run(puma, ManualSource(beside(puma, (3.0, 0.0, 0.0))), duration=6.0)
     assert report.solved == 0 and not report.last.converged
     assert np.abs(np.diff(path.q[-200:], axis=0)).max() <= 1e-3
@@ -119,8 +119,8 @@ def test_an_unreachable_goal_is_approached_and_does_not_shake_the_arm(puma):
     assert near < far
 
 
-def test_a_goal_behind_a_joint_limit_does_not_shake_the_arm(puma):
-    """Within arm's length, so nothing is proven, but the waist may not turn far enough."""
+def test_a_goal_behind_a_joint_limit_causes_no_oscillation(puma):
+    """The goal is within arm's length, so nothing is proven, but the waist is limited."""
     lower = puma.lower.copy()
     upper = puma.upper.copy()
     lower[:3] = puma.home[:3] - 0.2
@@ -141,7 +141,7 @@ def test_until_ends_the_loop(puma):
 
 
 class Mirror:
-    """An arm that is always where it was commanded, with a small offset."""
+    """An arm that is always at its command, with a small offset."""
 
     def __init__(self, clock, q, away=0.0):
         self.clock = clock
@@ -155,7 +155,7 @@ class Mirror:
         return JointReading(self.q + self.away, self.clock.now())
 
 
-def test_it_starts_where_the_arm_is_unclipped(puma):
+def test_it_starts_at_the_measured_position_without_clipping(puma):
     clock = VirtualClock()
     outside = puma.home.copy()
     outside[0] = puma.upper[0] + 0.05
@@ -214,7 +214,7 @@ def test_a_stall_is_counted_and_not_caught_up(puma):
     assert report.rate < 90.0
 
 
-def test_an_interrupt_propagates_and_nothing_more_is_sent(puma):
+def test_an_interrupt_propagates_and_ends_the_commands(puma):
     recorder = RecorderSink(puma.joints)
 
     def interrupt(tick):
@@ -227,7 +227,7 @@ def test_an_interrupt_propagates_and_nothing_more_is_sent(puma):
     assert len(recorder) == 10
 
 
-def test_no_sink_can_bend_the_command(puma):
+def test_no_sink_can_change_the_command(puma):
     class Bender:
         def send(self, q, now):
             q[0] = 1e3
@@ -251,8 +251,8 @@ def test_no_sink_can_bend_the_command(puma):
             )
 
 
-def test_it_stays_on_the_branch_where_the_arm_is(puma):
-    """From the flipped wrist: solving from anywhere but the last command would flip it back."""
+def test_it_stays_on_the_branch_of_the_start(puma):
+    """With a flipped wrist, a solve from another start than the last command would flip it back."""
     start = puma.home + np.array([0.0, 0.0, 0.0, 0.2, 0.0, 0.2])
     start[3:] = start[3] - np.pi, -start[4], start[5] - np.pi
     goal = PoseGoal.at(

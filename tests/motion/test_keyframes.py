@@ -55,17 +55,17 @@ def test_a_motion_passes_through_its_keys_inside_limits_and_speed_limits(robot: 
     assert (fastest <= 0.5 * robot.velocity_limits * (1 + 1e-6)).all()
     # Each segment is as fast as its slowest joint allows. The bound of balls is not tight.
     assert motion.peak_velocity_of_segments().max(axis=1).max() > 0.49 * robot.velocity_limits.min()
-    # No corner at a key.
+    # The speed has no jump at a key.
     for t in motion.times[1:-1].tolist():
         before = robot.difference(motion.at(t - 1e-5), motion.at(t)) / 1e-5
         after = robot.difference(motion.at(t), motion.at(t + 1e-5)) / 1e-5
         assert np.abs(before - after).max() < 2e-3
 
 
-def test_hinges_stay_between_the_two_keys_beside_them(humanoid: rik.Robot) -> None:
+def test_hinges_stay_between_the_keys_before_and_after(humanoid: rik.Robot) -> None:
     keys = random_keys(humanoid)
     motion = Keyframes.through(humanoid, keys)
-    first = 7  # behind the base
+    first = 7  # after the base
     for i, (one, two) in enumerate(pairwise(keys)):
         lower = np.minimum(one, two)[first:]
         upper = np.maximum(one, two)[first:]
@@ -74,7 +74,7 @@ def test_hinges_stay_between_the_two_keys_beside_them(humanoid: rik.Robot) -> No
             assert (q >= lower - 1e-12).all() and (q <= upper + 1e-12).all()
 
 
-def test_between_two_keys_balls_and_the_base_go_the_geodesic() -> None:
+def test_between_two_keys_balls_and_the_base_move_along_the_geodesic() -> None:
     lion = rik.load_robot("lion")
     one, two = random_keys(lion, 2)
     motion = Keyframes.through(lion, [one, two])
@@ -97,7 +97,7 @@ def test_a_frame_is_replayed_in_microseconds(robot: rik.Robot) -> None:
     assert best < 100e-6  # 6 to 14 us; the bound only catches a change of kind
 
 
-def test_a_loop_runs_on_without_a_jump(robot: rik.Robot) -> None:
+def test_a_loop_repeats_without_a_jump(robot: rik.Robot) -> None:
     motion = Keyframes.through(robot, random_keys(robot, 4), loop=True)
     for t in (motion.duration, 3 * motion.duration):
         before = robot.difference(motion.at(t - 2e-5), motion.at(t - 1e-5)) / 1e-5
@@ -108,7 +108,7 @@ def test_a_loop_runs_on_without_a_jump(robot: rik.Robot) -> None:
     )
 
 
-def test_a_loop_of_steps_walks_on_and_turns(humanoid: rik.Robot) -> None:
+def test_a_loop_of_steps_continues_and_turns(humanoid: rik.Robot) -> None:
     first = humanoid.home.copy()
     last = first.copy()
     last[0] += 0.6
@@ -127,7 +127,7 @@ def test_a_loop_of_steps_walks_on_and_turns(humanoid: rik.Robot) -> None:
         assert np.abs(before - after).max() < 1e-3 and np.linalg.norm(after) > 0.1
 
 
-def test_a_blend_begins_as_one_motion_and_ends_as_the_other(humanoid: rik.Robot) -> None:
+def test_a_blend_begins_with_one_motion_and_ends_with_the_other(humanoid: rik.Robot) -> None:
     keys = random_keys(humanoid, 6, size=0.1)
     one = Keyframes.through(humanoid, keys[:3])
     two = Keyframes.through(humanoid, keys[3:])
@@ -136,7 +136,7 @@ def test_a_blend_begins_as_one_motion_and_ends_as_the_other(humanoid: rik.Robot)
     assert np.abs(humanoid.difference(both.at(0.5), one.at(0.5))).max() < 1e-3
     end = both.duration - 0.5
     apart = humanoid.difference(both.at(end), two.at(two.duration - 0.5))
-    assert np.abs(apart[6:]).max() < 1e-3  # its base goes on from where the first one is
+    assert np.abs(apart[6:]).max() < 1e-3  # its base continues from that of the first motion
     rows = both.sampled(60.0).q
     largest = max(speeds(humanoid, m.sampled(60.0).q, 60.0).max() for m in (one, two))
     gap = np.abs(humanoid.difference(one.q[-1], two.q[0])).max()
@@ -152,7 +152,7 @@ def test_a_blend_begins_as_one_motion_and_ends_as_the_other(humanoid: rik.Robot)
         (lambda t, q: (t, q + 10.0), "key 0: joint .* is outside its limits; allowed: .* deg"),
     ],
 )
-def test_keys_that_make_no_motion_are_refused(change: object, message: str) -> None:
+def test_keys_without_a_valid_motion_are_refused(change: object, message: str) -> None:
     puma = rik.load_robot("puma560")
     times, q = change(np.array([0.0, 1.0, 2.0]), np.array(random_keys(puma, 3)))  # type: ignore[operator]
     with pytest.raises(TrajectoryError, match=message):
@@ -194,11 +194,12 @@ def test_frames_are_read_back_equal(robot: rik.Robot, tmp_path: Path) -> None:
     assert (Keyframes.load_csv(tmp_path / "frames.csv", robot).q == frames.q).all()
 
 
-def test_frames_with_comments_and_further_columns_are_read(tmp_path: Path) -> None:
+def test_recordings_with_further_columns_are_read(tmp_path: Path) -> None:
     puma = rik.load_robot("puma560")
-    head = ["t", "action", *column_names(puma)[::-1], "com_x"]
+    joints = [f"commanded.{name}" for name in column_names(puma)[::-1]]
+    head = ["time_s", "action", *joints, "com_x"]
     rows = [[f"{k / 60}", "walk", *["0.25"] * 6, "1"] for k in range(3)]
-    text = "# model: x, rate 60\n" + "\n".join(",".join(row) for row in [head, *rows]) + "\n"
+    text = "\n".join(",".join(row) for row in [head, *rows]) + "\n"
     (tmp_path / "frames.csv").write_text(text)
     motion = Keyframes.load_csv(tmp_path / "frames.csv", puma)
     assert len(motion) == 3 and (motion.q == 0.25).all()
@@ -234,13 +235,13 @@ def test_frames_with_comments_and_further_columns_are_read(tmp_path: Path) -> No
         ("schema = 1\n[poses.a]\njoint1 = nan", "nan is not right"),
     ],
 )
-def test_a_wrong_file_says_where(text: str, message: str, tmp_path: Path) -> None:
+def test_a_wrong_file_is_reported_with_the_key(text: str, message: str, tmp_path: Path) -> None:
     (tmp_path / "poses.toml").write_text(text)
     with pytest.raises(ConfigError, match=message):
         KeyPoses.load(tmp_path / "poses.toml", rik.load_robot("puma560"))
 
 
-def test_durations_hold_unless_a_stated_speed_limit_says_no(humanoid: rik.Robot) -> None:
+def test_durations_hold_unless_a_speed_limit_of_the_file_is_lower(humanoid: rik.Robot) -> None:
     book = KeyPoses.load(humanoid.folder / "poses.toml", humanoid)
     assert book.motion("walk").duration == pytest.approx(1.1)  # its file states no limits
     puma = KeyPoses(rik.load_robot("puma560"))
@@ -253,12 +254,12 @@ def test_durations_hold_unless_a_stated_speed_limit_says_no(humanoid: rik.Robot)
     assert motion.duration > 0.2
 
 
-def test_names_that_are_not_there_are_answered_with_the_close_ones() -> None:
+def test_unknown_names_are_refused_with_close_names() -> None:
     book = KeyPoses(rik.load_robot("puma560"))
     book.record("stand", book.robot.home)
     with pytest.raises(TrajectoryError, match="did you mean stand"):
         book["stend"]
-    with pytest.raises(TrajectoryError, match="there is a pose 'stand' already"):
+    with pytest.raises(TrajectoryError, match="there is already a pose 'stand'"):
         book.record("stand", book.robot.home)
     with pytest.raises(TrajectoryError, match="two or more poses"):
         book.record_motion("m", ["stand"])

@@ -80,7 +80,7 @@ def test_the_tool_runs_straight_within_every_limit(puma, shift, rotation):
     np.testing.assert_allclose(np.diff(path.times), 0.01, rtol=1e-9)
 
 
-def test_tool_speed_keeps_its_bound_and_uses_it(puma):
+def test_the_tool_speed_reaches_its_bound_and_keeps_it(puma):
     begin, end = goal_beside(puma, puma.home, (0.0, -0.2, 0.0))
     path = line_move(puma, puma.home, end, linear_speed=0.1)
     positions, times = check_straight(puma, path, begin, end, "gripper")
@@ -106,14 +106,14 @@ def test_a_part_of_the_speed_takes_longer(puma):
     assert (slow.peak_acceleration <= 0.25 * puma.acceleration_limits * SLACK).all()
 
 
-def test_coarse_sampling_slows_down_rather_than_bulge(puma):
+def test_coarse_sampling_slows_down_to_keep_the_line(puma):
     begin, end = goal_beside(puma, puma.home, (0.1, -0.2, 0.0))
     path = line_move(puma, puma.home, end, linear_speed=1.0, rate=10.0)
     check_straight(puma, path, begin, end, "gripper")
 
 
 @pytest.mark.parametrize("solver", ["auto", "dls"])
-def test_any_method_that_converges_will_do(puma, solver):
+def test_line_move_works_with_any_method_that_converges(puma, solver):
     begin, end = goal_beside(puma, puma.home, (0.05, -0.1, 0.05))
     check_straight(puma, line_move(puma, puma.home, end, solver=solver), begin, end, "gripper")
 
@@ -129,7 +129,7 @@ def test_a_line_of_no_length_has_one_sample(puma):
     assert len(path) == 1 and (path.q[0] == puma.home).all()
 
 
-def test_a_place_out_of_reach_tells_how_far_the_line_is_possible(puma):
+def test_an_unreachable_end_reports_the_possible_part_of_the_line(puma):
     begin, end = goal_beside(puma, puma.home, (2.0, 0.0, 0.0))
     with pytest.raises(TrajectoryError, match=r"can follow only (\d+\.\d) % of the line") as caught:
         line_move(puma, puma.home, end)
@@ -140,7 +140,7 @@ def test_a_place_out_of_reach_tells_how_far_the_line_is_possible(puma):
 
 
 def test_a_joint_limit_in_the_way_is_named(puma):
-    """The waist may not turn: a line sideways ends at once or jumps. The error names the joint."""
+    """The waist is held, so a line sideways ends early or jumps. The error names the joint."""
     lower = puma.lower.copy()
     upper = puma.upper.copy()
     upper[0] = puma.home[0] + 0.1
@@ -187,7 +187,7 @@ def test_a_jump_is_never_planned_and_names_the_joint(puma):
 
 
 def test_random_lines_are_straight_or_refused(puma):
-    """Short lines from anywhere: whatever is planned keeps every bound."""
+    """Short lines from random starts. Every planned line keeps every bound."""
     rng = np.random.default_rng(5)
     planned = 0
     for _ in range(12):
@@ -220,7 +220,7 @@ def test_malformed_options_are_refused(puma, options):
         line_move(puma, puma.home, puma.forward(puma.home), **options)
 
 
-def test_a_goal_that_is_no_pose_is_refused(puma):
+def test_a_goal_that_is_not_a_pose_is_refused(puma):
     with pytest.raises(InvalidGoalError, match=r"a Pose, not \(1, 2, 3\)\nPose\(position, wxyz\)"):
         line_move(puma, puma.home, (1, 2, 3))
 

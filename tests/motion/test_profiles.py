@@ -26,14 +26,14 @@ def test_profiles_rest_at_both_ends_and_keep_their_bounds(name, velocity, accele
     np.testing.assert_allclose(s, 1.0 - s[::-1], atol=1e-12)
 
 
-def test_a_bound_that_is_not_there_does_not_bind():
+def test_an_infinite_bound_has_no_effect():
     assert PROFILES["trapezoid"](np.inf, 4.0).duration == pytest.approx(1.0)
     assert PROFILES["quintic"](np.inf, 4.0).duration > 1.0
 
 
 @given(velocity=st.floats(0.1, 10.0), acceleration=st.floats(0.1, 10.0))
 @settings(deadline=None, max_examples=30)
-def test_a_straight_path_is_run_as_fast_as_the_trapezoid(velocity, acceleration):
+def test_a_straight_path_takes_the_time_of_the_trapezoid(velocity, acceleration):
     """Two ways to the same optimum: closed form, and the forward and backward pass."""
     s = np.linspace(0.0, 1.0, 400)
     timing = fastest_timing(s, s[:, None], np.array([velocity]), np.array([acceleration]), np.inf)
@@ -47,7 +47,7 @@ def test_a_straight_path_is_run_as_fast_as_the_trapezoid(velocity, acceleration)
 
 @given(seed=st.integers(0, 10_000))
 @settings(max_examples=40, deadline=None)
-def test_a_curved_path_keeps_joint_bounds_nearly_and_uses_them(seed):
+def test_a_curved_path_keeps_joint_bounds_and_reaches_them(seed):
     """Random smooth curves of four joints; the bounds hold to the density of the knots."""
     rng = np.random.default_rng(seed)
     s = np.linspace(0.0, 1.0, 600)
@@ -73,7 +73,7 @@ def test_a_curved_path_keeps_joint_bounds_nearly_and_uses_them(seed):
 
 
 def test_speed_bound_holds_along_a_still_path():
-    """Only the tool turns or nothing binds: the bound of ds/dt is kept."""
+    """No joint limit has an effect, and the bound of ds/dt is kept."""
     s = np.linspace(0.0, 1.0, 50)
     timing = fastest_timing(s, 1e-6 * s[:, None], np.array([1.0]), np.array([1.0]), 0.5)
     assert timing.speed.max() == pytest.approx(0.5)

@@ -1,4 +1,4 @@
-"""The recorder gives back what it was sent."""
+"""The recorder returns the vectors that were sent to it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from robot_ik.motion import RecorderSink
 from robot_ik.ports import JointSink
 
 
-def test_recorded_is_what_was_sent_counted_from_the_first():
+def test_the_recorder_returns_the_sent_vectors_with_times_from_zero():
     sink = RecorderSink(["a", "b"])
     assert isinstance(sink, JointSink)
     q = np.zeros(2)

@@ -1,4 +1,4 @@
-"""Every source feeds what it was given, at the time it was given."""
+"""Every source gives its goals at their times."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from robot_ik.geometry import Pose
 from robot_ik.motion import CurveSource, ManualSource, RandomSource, ScriptSource
 
 
-def test_a_goal_that_nobody_sets_stays():
+def test_a_goal_stays_until_another_is_set():
     goal = object()
     source = ManualSource(goal)
     assert source.poll(0.0) is goal and source.poll(1e6) is goal
@@ -128,7 +128,7 @@ def test_random_goals_are_reachable_seeded_and_last_a_period(puma):
         np.testing.assert_allclose(goal.position, expected.position, atol=1e-12)
 
 
-def test_random_goals_do_not_depend_on_how_often_one_asks(puma):
+def test_random_goals_do_not_depend_on_the_rate_of_polling(puma):
     often = RandomSource(puma, seed=1, period=1.0)
     seldom = RandomSource(puma, seed=1, period=1.0)
     for t in np.arange(0.0, 5.0, 0.25):

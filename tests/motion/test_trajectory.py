@@ -125,14 +125,14 @@ def test_at_is_exact_at_samples_and_between_neighbours(number_robot, move, part)
         np.testing.assert_allclose(middle, 0.5 * (path.q[k] + path.q[k + 1]), atol=1e-9)
 
 
-def test_a_move_to_where_one_is_has_no_length(number_robot):
+def test_a_move_to_the_start_has_no_length(number_robot):
     path = joint_move(number_robot([1.0, 1.0], [1.0, 1.0]), [0.3, -0.2], [0.3, -0.2])
     assert len(path) == 1 and path.duration == 0.0
     assert not path.peak_velocity.any() and not path.peak_acceleration.any()
 
 
 @pytest.mark.parametrize("way", [5e-324, 1e-300, 1e-12])
-def test_a_move_below_all_measure_still_ends_exactly(number_robot, way):
+def test_a_very_short_move_ends_exactly(number_robot, way):
     path = joint_move(number_robot([1.0], [1.0]), [0.0], [way])
     assert path.q[-1, 0] == way and np.isfinite(path.times).all()
 
@@ -156,12 +156,12 @@ def test_quintic_starts_and_stops_softly(number_robot):
     assert hard.duration < soft.duration < 2.0 * hard.duration
 
 
-def test_a_start_outside_the_limits_walks_in(number_robot):
+def test_a_start_outside_the_limits_moves_inside(number_robot):
     path = joint_move(number_robot([1.0], [1.0], [-1.0], [1.0]), [1.5], [0.9])
     assert path.q[0, 0] == 1.5 and path.q[-1, 0] == 0.9 and (np.diff(path.q[:, 0]) < 0.0).all()
 
 
-def test_further_caps_count_when_lower(number_robot):
+def test_lower_further_limits_count(number_robot):
     robot = number_robot([1.0, 1.0], [2.0, 2.0])
     path = joint_move(
         robot, [0, 0], [2, 2], velocity_limits=[0.25, 5.0], acceleration_limits=[0.5, 5.0]
@@ -170,14 +170,14 @@ def test_further_caps_count_when_lower(number_robot):
     assert path.peak_acceleration.max() <= 0.5 * SLACK
 
 
-def test_a_goal_outside_the_limits_names_joint_asked_and_allowed(number_robot):
+def test_a_goal_outside_the_limits_is_refused_with_joint_value_and_range(number_robot):
     robot = number_robot([1.0] * 3, [1.0] * 3, [-1.0] * 3, [1.0] * 3)
     with pytest.raises(TrajectoryError, match=r"1\.25 for joint 'j1'; allowed: -1 to 1"):
         joint_move(robot, [0, 0, 0], [0, 1.25, 0])
 
 
 @pytest.mark.parametrize(
-    ("start", "goal", "said"),
+    ("start", "goal", "message"),
     [
         ([0.0, np.nan], [0.0, 0.0], "start has nan for joint 'j1'"),
         ([0.0, 0.0], [np.inf, 0.0], "goal has inf for joint 'j0'"),
@@ -185,8 +185,8 @@ def test_a_goal_outside_the_limits_names_joint_asked_and_allowed(number_robot):
         ([0.0, 0.0], [[0.0, 0.0]], "goal has shape"),
     ],
 )
-def test_malformed_vectors_are_refused(number_robot, start, goal, said):
-    with pytest.raises(TrajectoryError, match=said):
+def test_malformed_vectors_are_refused(number_robot, start, goal, message):
+    with pytest.raises(TrajectoryError, match=message):
         joint_move(number_robot([1.0, 1.0], [1.0, 1.0]), start, goal)
 
 
@@ -214,7 +214,7 @@ def test_a_robot_without_limits_of_motion_is_refused(number_robot, bad):
         joint_move(number_robot([1.0], [bad]), [0.0], [1.0])
 
 
-def test_ball_joints_are_refused_by_name(number_robot):
+def test_ball_joints_are_refused_with_a_message(number_robot):
     with pytest.raises(UnsupportedJointError, match="ball or free"):
         joint_move(number_robot([1.0], [1.0], balls=1), [0.0] * 5, [0.0] * 5)
 
@@ -252,7 +252,7 @@ def test_measures_of_a_known_path():
 
 @given(move=moves())
 @settings(deadline=None, max_examples=25)
-def test_csv_gives_back_every_bit(number_robot, move, tmp_path_factory):
+def test_csv_keeps_every_bit(number_robot, move, tmp_path_factory):
     path = plan(number_robot, move)
     file = tmp_path_factory.mktemp("csv") / "trajectory.csv"
     path.save_csv(file)
@@ -262,12 +262,12 @@ def test_csv_gives_back_every_bit(number_robot, move, tmp_path_factory):
     assert [entry.name for entry in file.parent.iterdir()] == [file.name]
 
 
-def test_csv_has_a_header_that_a_person_reads(tmp_path):
+def test_csv_has_a_readable_header(tmp_path):
     Trajectory([0.0, 0.01], [[0.5, 1.0], [0.25, 2.0]], ["waist", "arm, upper"]).save_csv(
         tmp_path / "t.csv"
     )
     text = (tmp_path / "t.csv").read_text()
-    assert text == 'time_s,waist,"arm, upper"\n0.0,0.5,1.0\n0.01,0.25,2.0\n'
+    assert text == 'time_s,commanded.waist,"commanded.arm, upper"\n0.0,0.5,1.0\n0.01,0.25,2.0\n'
     assert Trajectory.load_csv(tmp_path / "t.csv").joints == ("waist", "arm, upper")
 
 
@@ -275,18 +275,19 @@ def test_csv_has_a_header_that_a_person_reads(tmp_path):
     "text",
     [
         "time_s,robot,commanded.a,commanded.b,measured.a,measured.b,text\n0,0,1,2,,,\n1,0,,,5,6,on\n2,0,3,4,7,8,\n",
-        "time_s,a_commanded,b_commanded,a_measured,b_measured\n0,1,2,5,6\n2,3,4,7,8\n",
+        "time_s,commanded.a,commanded.b,measured.a,measured.b\n0,1,2,5,6\n2,3,4,7,8\n",
+        "time_s,action,measured.a,measured.b,com_x\n0,walk,1,2,9\n1,walk,,,9\n2,walk,3,4,9\n",
     ],
-    ids=["recording", "reach"],
+    ids=["recording", "without goals", "measured only, with further columns"],
 )
-def test_what_was_commanded_is_read_from_tables_of_what_was_measured(tmp_path, text):
+def test_commanded_positions_are_read_else_measured_positions(tmp_path, text):
     (tmp_path / "t.csv").write_text(text)
     again = Trajectory.load_csv(tmp_path / "t.csv")
     assert again.joints == ("a", "b") and again.times.tolist() == [0.0, 2.0]
     assert again.q.tolist() == [[1.0, 2.0], [3.0, 4.0]]
 
 
-def test_csv_into_nowhere_is_said_and_leaves_nothing(tmp_path):
+def test_csv_into_a_missing_folder_is_refused_and_leaves_no_file(tmp_path):
     path = Trajectory([0.0], [[0.0]], ["a"])
     with pytest.raises(OutputError, match="cannot write"):
         path.save_csv(tmp_path / "missing" / "t.csv")
@@ -297,37 +298,39 @@ def test_csv_into_nowhere_is_said_and_leaves_nothing(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("", "line 1"),
-        ("x,a\n0,1\n", "line 1"),
-        ("time_s,a\n", "no samples"),
-        ("time_s,a\n0,x\n", "line 2"),
-        ("time_s,a\n0,1\n1\n", "line 3"),
-        ("time_s,a\n1,1\n0,1\n", "must increase"),
-        ("time_s,a\n0,nan\n", "line 2"),
+        ("time_s,a\n0,1\n", "allowed: time_s,commanded.JOINT"),
+        ("t,commanded.a\n0,1\n", "line 1"),
+        ("x,commanded.a\n0,1\n", "line 1"),
+        ("time_s,commanded.a\n", "no samples"),
+        ("time_s,commanded.a\n0,x\n", "line 2"),
+        ("time_s,commanded.a\n0,1\n1\n", "line 3"),
+        ("time_s,commanded.a\n1,1\n0,1\n", "must increase"),
+        ("time_s,commanded.a\n0,nan\n", "line 2"),
         ("time_s,robot,commanded.a,measured.a\n0,0,1,\n0,1\n", "line 3"),
         ("time_s,robot,commanded.a,measured.a\n0,1,1,\n0,2,1,\n", "several robots"),
         ("time_s,robot,commanded.a,measured.a\n0,0,,1\n", "no samples"),
     ],
 )
-def test_a_broken_csv_names_the_line(tmp_path, text, said):
+def test_a_malformed_csv_is_refused_with_the_line(tmp_path, text, message):
     (tmp_path / "t.csv").write_text(text)
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(ConfigError, match=message):
         Trajectory.load_csv(tmp_path / "t.csv")
     with pytest.raises(ConfigError, match="cannot be read"):
         Trajectory.load_csv(tmp_path / "none.csv")
 
 
-def test_what_is_no_number_of_each_joint_and_a_move_without_end_are_refused_in_words():
+def test_wrong_vectors_and_endless_moves_are_refused_with_a_message():
     robot = load_robot("puma560")
     end = robot.home + 0.1
-    for arguments, says in (
+    for arguments, message in (
         ({"velocity_limits": np.ones(5)}, "velocity_limits must be 6 numbers"),
         ({"acceleration_limits": "fast"}, "acceleration_limits must be 6 numbers"),
         ({"velocity_limits": 1e-300}, "samples at 100 Hz"),
     ):
-        with pytest.raises(TrajectoryError, match=says):
+        with pytest.raises(TrajectoryError, match=message):
             joint_move(robot, robot.home, end, **arguments)
     with pytest.raises(TrajectoryError, match="start must be 6 numbers"):
         joint_move(robot, "home", end)

@@ -1,4 +1,4 @@
-"""What is installed is what is here, and importing it costs and touches nothing."""
+"""The wheel equals the checkout, and an import is fast and opens nothing."""
 
 import json
 import os
@@ -37,7 +37,7 @@ def files_on_disk() -> set[str]:
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
-    """Built as `make wheel` does, the sdist first: so this holds for both."""
+    """The wheel, built from the sdist as in `make wheel`, so both are checked."""
     folder = tmp_path_factory.mktemp("dist")
     build = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(folder), str(ROOT)]
     result = subprocess.run(build, capture_output=True, text=True)
@@ -50,17 +50,17 @@ def test_package_list_equals_disk() -> None:
 
 
 def test_folders_with_python_are_packages() -> None:
-    """A folder without __init__.py works from the checkout and is missing from the wheel."""
+    """A folder without __init__.py works in the checkout but is missing from the wheel."""
     folders = {file.parent for folder in MAPPING.values() for file in (ROOT / folder).rglob("*.py")}
     assert [str(f) for f in folders if not (f / "__init__.py").exists()] == []
 
 
-def test_wheel_holds_all_files_and_no_others(wheel: zipfile.ZipFile) -> None:
+def test_the_wheel_contains_all_files_and_no_others(wheel: zipfile.ZipFile) -> None:
     packed = {name for name in wheel.namelist() if ".dist-info/" not in name}
     assert packed == files_on_disk()
 
 
-def test_wheel_carries_licence_and_marker(wheel: zipfile.ZipFile) -> None:
+def test_the_wheel_contains_licence_and_type_marker(wheel: zipfile.ZipFile) -> None:
     names = wheel.namelist()
     assert "robot_ik/py.typed" in names
     (metadata,) = (wheel.read(n).decode() for n in names if n.endswith(".dist-info/METADATA"))
@@ -69,7 +69,7 @@ def test_wheel_carries_licence_and_marker(wheel: zipfile.ZipFile) -> None:
     assert "END OF TERMS AND CONDITIONS" in licence
 
 
-def test_constraints_name_no_place_and_every_dependency() -> None:
+def test_constraints_name_every_dependency_and_no_location() -> None:
     lines = [
         x for x in (ROOT / "constraints.txt").read_text().splitlines() if not x.startswith("#")
     ]
@@ -93,7 +93,7 @@ def watch(event, args):
     if writes or event in others or event.startswith("socket."):
         seen.append([event, str(args)])
 
-import numpy  # ports and geometry are allowed it; what it opens itself is its own affair
+import numpy  # ports and geometry may import it; files that numpy opens do not count
 before = set(sys.modules)
 sys.addaudithook(watch)
 import robot_ik
@@ -108,9 +108,9 @@ def test_import_opens_nothing_and_loads_nothing_heavy() -> None:
     child = [sys.executable, "-c", WATCHED_IMPORT]
     result = subprocess.run(child, capture_output=True, text=True, env=environment)
     assert result.returncode == 0, result.stderr
-    said = json.loads(result.stdout)
-    assert said["seen"] == []
-    assert said["threads"] == 1
+    facts = json.loads(result.stdout)
+    assert facts["seen"] == []
+    assert facts["threads"] == 1
     heavy = {
         "numba",
         "llvmlite",
@@ -123,7 +123,7 @@ def test_import_opens_nothing_and_loads_nothing_heavy() -> None:
         "pydantic",
     }
     heavy |= {"rich", "cyclopts", "viser", "av", "matplotlib", "yaml", "scipy"}
-    assert heavy.isdisjoint(said["loaded"])
+    assert heavy.isdisjoint(facts["loaded"])
 
 
 ONE_SOLVE = """
@@ -137,7 +137,7 @@ print(*(name for name in sys.modules if name.startswith("robot_ik.")))
 
 
 def test_a_solve_loads_only_the_core() -> None:
-    """No goal of the whole body, no other method, no camera, no hardware."""
+    """No goals of the whole body, no other method, no camera, no hardware."""
     command = [sys.executable, "-c", ONE_SOLVE]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     loaded = set(done.stdout.split())
@@ -156,8 +156,8 @@ def test_a_solve_loads_only_the_core() -> None:
     assert sorted(loaded & {f"robot_ik.{name}" for name in unneeded}) == []
 
 
-def test_hardware_refuses_its_bare_name() -> None:
-    """From the checkout `import hardware` would work, and load every module a second time."""
+def test_hardware_cannot_be_imported_by_its_bare_name() -> None:
+    """In the checkout `import hardware` would load every module a second time."""
     bare = subprocess.run(
         [sys.executable, "-c", "import hardware"], cwd=ROOT, capture_output=True, text=True
     )
@@ -177,6 +177,8 @@ def test_a_type_checker_sees_the_editable_install(
     )
     cache = pytestconfig.cache.mkdir("mypy")  # numpy's types are read once
     command = [sys.executable, "-m", "mypy", "--cache-dir", str(cache), "mine.py"]
-    said = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False).stdout
-    assert 'expression has type "Robot"' in said and "config.ArmConfig" in said, said
-    assert "import-not-found" not in said
+    output = subprocess.run(
+        command, cwd=tmp_path, capture_output=True, text=True, check=False
+    ).stdout
+    assert 'expression has type "Robot"' in output and "config.ArmConfig" in output, output
+    assert "import-not-found" not in output

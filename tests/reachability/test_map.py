@@ -1,4 +1,4 @@
-"""Cells of reachability maps, held against brute-force inverse kinematics and MuJoCo."""
+"""Cells of reachability maps against brute-force inverse kinematics and MuJoCo."""
 
 import numpy as np
 import pytest
@@ -227,18 +227,18 @@ def test_an_arm_without_a_closed_form_is_solved_by_lm(five_joints):
     assert five_joints.reach_at(rik.Pose(outside)) is rik.ReachStatus.UNREACHABLE
 
 
-def test_the_threads_of_a_map_by_lm_change_no_bit(five_joints):
+def test_the_number_of_threads_does_not_change_a_map_by_lm(five_joints):
     again = small_map("so101", cell=0.12, directions=9, threads=3)
     for name in ("status", "branches", "manipulability", "clearance"):
         np.testing.assert_array_equal(getattr(again, name), getattr(five_joints, name))
 
 
-def test_every_map_says_how_it_was_solved(reach_map, panda):
+def test_every_map_has_the_name_of_its_method(reach_map, panda):
     assert reach_map.method == "closed form" and panda.method == "swept joint"
     assert {reach_map.method, panda.method, "lm"} == set(METHODS)
 
 
-def test_joints_that_follow_others_have_no_closed_form():
+def test_coupled_joints_have_no_closed_form():
     coupled = UPRIGHT.replace('axis="0 1 0" range="-1.5', 'name="a" axis="0 1 0" range="-1.5')
     coupled = coupled.replace('axis="0 1 0" range="-2.4', 'name="b" axis="0 1 0" range="-2.4')
     equality = '<equality><joint joint1="b" joint2="a"/></equality></mujoco>'

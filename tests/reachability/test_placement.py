@@ -1,4 +1,4 @@
-"""Base placement: inverse kinematics solves all poses from the place, judged by MuJoCo."""
+"""Base placement: inverse kinematics solves all poses from the place, checked by MuJoCo."""
 
 import numpy as np
 import pytest
@@ -52,7 +52,7 @@ def test_poses_that_no_place_reaches_are_reported(reach_map):
     assert placement.votes < 2
 
 
-def test_an_arm_that_cannot_choose_its_roll_has_no_place():
+def test_an_arm_that_cannot_choose_its_roll_is_refused():
     five = rik.map_reachability(rik.load_robot("so101"), cell=0.3, directions=1)
     with pytest.raises(ReachabilityMapError, match="too few joints"):
         five.best_base([rik.Pose((0.2, 0.0, 0.1))])
@@ -72,7 +72,7 @@ def test_wrong_arguments_are_refused(reach_map):
             reach_map.best_base(poses, **options)
 
 
-def test_a_map_that_was_loaded_without_its_condition_places_nothing(reach_map, tmp_path):
+def test_a_map_loaded_without_its_condition_cannot_place_a_base(reach_map, tmp_path):
     pytest.importorskip("zarr")
     robot = reach_map.robot
     rik.map_reachability(

@@ -1,4 +1,4 @@
-"""How maps are computed: the same bits for any number of workers, and again after a kill."""
+"""Computation of maps: equal bits for any number of workers, and after a killed program."""
 
 import os
 import signal
@@ -38,17 +38,17 @@ def assert_same(first, second):
 
 
 @pytest.mark.parametrize("threads", [2, 3])
-def test_the_number_of_threads_changes_no_bit(expected, threads):
+def test_the_number_of_threads_does_not_change_the_result(expected, threads):
     assert len(expected.grid.blocks) >= 8
     assert_same(make(threads=threads), expected)
 
 
-def test_processes_give_the_same_bits(expected):
+def test_processes_give_equal_bits(expected):
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         assert_same(make(executor=pool), expected)
 
 
-def test_a_dask_cluster_gives_the_same_bits(expected):
+def test_a_dask_cluster_gives_equal_bits(expected):
     distributed = pytest.importorskip("distributed")
     with (
         distributed.LocalCluster(
@@ -59,7 +59,7 @@ def test_a_dask_cluster_gives_the_same_bits(expected):
         assert_same(make(executor=client.get_executor()), expected)
 
 
-def test_a_map_on_disk_is_the_map(expected, tmp_path):
+def test_a_map_on_disk_equals_the_map_in_memory(expected, tmp_path):
     pytest.importorskip("zarr")
     reach_map = make(out=tmp_path / "map.zarr")
     assert_same(reach_map, expected)
@@ -69,11 +69,11 @@ def test_a_map_on_disk_is_the_map(expected, tmp_path):
     assert_same(loaded, expected)
     assert loaded.is_complete
     assert loaded.grid == expected.grid
-    # The catalogue name is enough to look at it.
+    # A map of a catalogue robot can be loaded without the robot.
     assert_same(rik.ReachabilityMap.load(tmp_path / "map.zarr"), expected)
 
 
-def test_ctrl_c_keeps_what_is_done_and_the_rest_is_made_later(expected, tmp_path):
+def test_ctrl_c_keeps_finished_blocks_and_a_later_call_computes_the_rest(expected, tmp_path):
     pytest.importorskip("zarr")
 
     def interrupted(done, _count):
@@ -104,7 +104,7 @@ make(out=sys.argv[1], progress=lambda done, count: print(done, flush=True))
 """
 
 
-def test_a_killed_program_loses_only_the_blocks_it_was_working_on(expected, tmp_path):
+def test_a_killed_program_loses_only_its_unfinished_blocks(expected, tmp_path):
     pytest.importorskip("zarr")
     root = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
     out = tmp_path / "map.zarr"
@@ -124,7 +124,7 @@ def test_a_killed_program_loses_only_the_blocks_it_was_working_on(expected, tmp_
     assert_same(resumed, expected)
 
 
-def test_a_folder_of_something_else_is_not_touched(tmp_path):
+def test_a_folder_with_other_content_is_not_changed(tmp_path):
     pytest.importorskip("zarr")
     tmp_path.joinpath("letter.txt").write_text("dear reader")
     with pytest.raises(OutputError, match="not a reachability map"):
@@ -139,7 +139,7 @@ def test_a_folder_of_something_else_is_not_touched(tmp_path):
 @pytest.mark.parametrize(
     "changed", ["cell", "robot", "frame", "margin", "limits", "scene", "no condition"]
 )
-def test_the_map_of_something_else_is_not_continued(changed, tmp_path):
+def test_the_map_of_another_robot_scene_or_grid_is_not_continued(changed, tmp_path):
     pytest.importorskip("zarr")
     tiny = {"cell": 0.6, "directions": 1, "rolls": 1}
     robot = rik.load_robot("puma560")

@@ -43,7 +43,7 @@ TREE = """<mujoco model="tree"><compiler angle="radian"/><worldbody>
 
 @pytest.fixture(scope="session")
 def robots(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Robot]:
-    """``robots("planar")``: one of the robots of the contract, loaded once."""
+    """``robots("planar")``: a robot of the contract, loaded once."""
     folder = tmp_path_factory.mktemp("robots")
     (folder / "planar.xml").write_text(PLANAR)
     (folder / "tree.xml").write_text(TREE)

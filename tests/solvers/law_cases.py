@@ -1,4 +1,4 @@
-"""Methods, robots and goals of the ten laws, and their judges: shared by the laws' files."""
+"""Methods, robots and goals of the laws of solvers, and MuJoCo's error, for several test files."""
 
 import itertools
 import tomllib
@@ -22,7 +22,7 @@ KINDS = ["position", "orientation", "pose"]
 TOLERANCE = Tolerance(position=1e-5, angle=1e-4)
 
 
-def serves(name, robot_name, kind):
+def is_supported(name, robot_name, kind):
     """Return whether floors.toml has a row for this method, robot and goal."""
     assert name in FLOORS, (
         f"tests/solvers/floors.toml has no solve rates of {name}: begin with 1.0 for each"
@@ -39,13 +39,13 @@ def cases(*kinds, names=NAMES):
     """Every (name, robot_name, kind) of the contract."""
     products = itertools.product(names, ROBOTS, kinds or KINDS)
     return pytest.mark.parametrize(
-        ("name", "robot_name", "kind"), [c for c in products if serves(*c)]
+        ("name", "robot_name", "kind"), [c for c in products if is_supported(*c)]
     )
 
 
-# Methods that serve every robot and every kind of goal.
-GENERAL = [n for n in NAMES if all(serves(n, r, k) for r in ROBOTS for k in KINDS)]
-# Of those, the ones that take steps until a budget ends them.
+# Methods that support every robot and every kind of goal.
+GENERAL = [n for n in NAMES if all(is_supported(n, r, k) for r in ROBOTS for k in KINDS)]
+# Those of them that take steps until a budget ends them.
 STEPPING = [n for n in GENERAL if issubclass(SOLVERS[n], IterativeSolver)]
 general = pytest.mark.parametrize("name", GENERAL)
 stepping = pytest.mark.parametrize("name", STEPPING)
@@ -60,7 +60,7 @@ def goal_of(robot, q, kind="pose", frame=None):
 
 
 def measured(robot, q, goal):
-    """Metres and radians off, by MuJoCo alone, from the full qpos."""
+    """Return the error in metres and radians, by MuJoCo, from the full qpos."""
     data = mujoco.MjData(robot.model)
     data.qpos[:] = robot.qpos(q)
     mujoco.mj_forward(robot.model, data)
@@ -72,8 +72,8 @@ def measured(robot, q, goal):
     return metres if position_weight > 0.0 else 0.0, radians if angle_weight > 0.0 else 0.0
 
 
-def served(robot, goal, *, solver, **options):
-    """The problem, or None where the method does not serve it."""
+def supported_problem(robot, goal, *, solver, **options):
+    """Return the problem, or None if the method does not support it."""
     try:
         return Problem(robot, goal, solver=solver, **options)
     except UnsupportedGoalError:

@@ -1,4 +1,4 @@
-"""auto: which method it tries first, and that its choice is measured."""
+"""auto: the method that it tries first, and the measurement of this choice."""
 
 import importlib.util
 from pathlib import Path
@@ -50,21 +50,21 @@ def test_near_its_goal_lm_is_first_and_far_from_it_the_closed_form(name):
         assert warm.converged
         assert warm.solver == "lm"
         assert warm.restarts == 0
-        assert np.abs(warm.q - start).max() < 0.1  # the branch on which it began
+        assert np.abs(warm.q - start).max() < 0.1  # the branch of the start
     for pose in poses_of(robot, 20):
         cold = rik.solve(robot, PoseGoal.at(None, pose))
         assert cold.converged
         assert cold.solver == "analytic"
 
 
-def test_a_limb_is_solved_by_lm_and_its_proof_is_kept():
+def test_a_limb_is_solved_by_lm_and_keeps_its_proof():
     arm = rik.load_robot("srs_arm")
     problem = Problem(arm, PoseGoal(None, (0.4, 0.1, 0.5)))
     for pose in poses_of(arm, 300):
         solution = problem.solve(target=pose)
         assert solution.converged
         assert solution.solver == "lm"
-    # Inside the ball of all links laid end to end, but the wrist would be too far from the
+    # The target is inside the ball of the sum of all links, but the wrist would be too far from the
     # shoulder.
     center, radius = arm.reach(arm.tool)
     proven = PoseGoal(None, center + np.array([0, 0, 0.97 * radius]), (0, 1, 0, 0))
@@ -72,7 +72,7 @@ def test_a_limb_is_solved_by_lm_and_its_proof_is_kept():
 
 
 @pytest.mark.parametrize("name", ["puma560", "srs_arm"])
-def test_a_batch_chooses_as_a_single_solve_does(name):
+def test_a_batch_chooses_the_same_method_as_a_single_solve(name):
     robot = rik.load_robot(name)
     near, starts = near_starts(robot, 12)
     poses = [*near, *poses_of(robot, 12)]
@@ -122,7 +122,7 @@ def test_the_choice_follows_the_times(measure):
         ("other", "one", "warm"): {"lm": 7.0, "analytic": 9.0, "auto": 7.5},
         ("other", "two", "warm"): {"lm": 14.0, "analytic": 9.0, "auto": 9.5},
     }
-    # Of two arms of a family both count.
+    # Both arms of a family count.
     expected = {
         ("wrist", "cold"): "lm",
         ("wrist", "warm"): "analytic",

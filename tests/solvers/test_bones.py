@@ -1,4 +1,4 @@
-"""What fabrik, triangulation and recursive have in common: laws, limits, degenerate geometry."""
+"""fabrik, triangulation and recursive: laws, limits, degenerate geometry."""
 
 from collections.abc import Callable
 from functools import cache
@@ -93,7 +93,7 @@ def outcome(solution):
 
 @methods
 @pytest.mark.parametrize("robot_name", ROBOTS)
-def test_the_result_is_inside_the_limits_and_as_reported(name, robot_name):
+def test_the_result_is_inside_the_limits_and_has_the_reported_error(name, robot_name):
     robot = robot_named(robot_name)
     rng = np.random.default_rng(1)
     for position in targets(robot, 8):
@@ -113,7 +113,7 @@ def test_the_result_is_inside_the_limits_and_as_reported(name, robot_name):
 
 @methods
 @pytest.mark.parametrize("robot_name", ROBOTS)
-def test_a_start_at_the_goal_is_the_answer(name, robot_name):
+def test_a_start_at_the_goal_is_the_solution(name, robot_name):
     robot = robot_named(robot_name)
     q = robot.sample(np.random.default_rng(3))
     goal = PositionGoal(None, robot.forward(q).position)
@@ -154,7 +154,7 @@ def test_the_trace_and_slices_of_time_change_nothing(name):
 
 
 @methods
-def test_frozen_joints_and_joints_that_do_not_matter_stay(name):
+def test_frozen_joints_and_joints_that_move_no_goal_stay(name):
     text = links([ELBOW, ELBOW.replace("elbow", "wrist")], [0.4, 0.3])
     lamp = '<joint name="lamp" axis="0 1 0" range="-1 1"/><geom size="0.01"/>'
     robot = of_xml(f'{text}<body pos="0 0 0.2">{lamp}</body>')
@@ -180,8 +180,8 @@ def solve_soundly(name: str, robot: Robot, position, start=None, budget=None):
 
 @methods
 @pytest.mark.parametrize("n", range(1, 6))
-def test_a_straight_chain_reaches_targets_on_its_own_line(name, n):
-    """Vectors are collinear: the axis of a rotation and the side to bend to are undefined."""
+def test_a_straight_chain_reaches_targets_on_its_line(name, n):
+    """The vectors are collinear, so the axis of a rotation and the side to bend are undefined."""
     robot = rik.make_chain(n)
     for height in (n, -n, n - 0.5, 0.5 - n, 0.3, -0.3):
         solution = solve_soundly(name, robot, (0.0, 0.0, height), budget=NO_RESTARTS)
@@ -199,7 +199,7 @@ def test_a_target_at_the_root_is_reached_by_all_chains_but_a_single_link(name, n
 
 
 @methods
-def test_bones_of_no_length_are_no_bones(name):
+def test_points_that_coincide_form_no_bone(name):
     ball = '<joint name="b{}" type="ball"/>'
     robot = of_xml(links([ball.format(i) for i in range(5)], [0.0, 0.4, 0.0, 0.3, 0.0]))
     start = robot.sample(np.random.default_rng(0))
@@ -219,7 +219,7 @@ def test_a_planar_arm_meets_targets_beside_its_plane_and_on_its_axes(name):
 
 
 @methods
-def test_a_frame_that_nothing_moves(name):
+def test_a_frame_that_no_joint_moves(name):
     robot = of_xml(links([ELBOW], [0.4]) + '<site name="nail" pos="0.3 0.3 0"/>')
     problem = Problem(robot, PositionGoal("nail", (0.3, 0.3, 0.0)), solver=name)
     solution = problem.solve()
@@ -234,7 +234,7 @@ def test_a_frame_that_nothing_moves(name):
 
 
 @methods
-def test_an_unsupported_goal_is_refused_with_the_methods_that_can(name):
+def test_an_unsupported_goal_is_refused_with_the_names_of_supporting_methods(name):
     robot = robot_named("puma560")
     with pytest.raises(UnsupportedGoalError, match=rf"{name}.*orientation goal") as caught:
         Problem(robot, OrientationGoal(None, (1, 0, 0, 0)), solver=name)
@@ -247,7 +247,7 @@ def test_an_unsupported_goal_is_refused_with_the_methods_that_can(name):
 
 
 @pytest.mark.parametrize("name", ["triangulation", "recursive"])
-def test_one_chain_one_position_only(name):
+def test_only_one_position_of_one_chain_is_supported(name):
     robot = robot_named("puma560")
     goal = PositionGoal(None, (0.4, 0.0, 0.8))
     with pytest.raises(UnsupportedGoalError, match="several goals"):

@@ -16,7 +16,7 @@ both_axes = pytest.mark.parametrize("axis", ["joint", "free"])
 
 
 def after_sweeps(robot, goal, start, sweeps=1, **options):
-    """The q that the last sweep led to, which may be worse than the best."""
+    """Return q after the last sweep, which may be worse than the best q."""
     budget = Budget(iterations=sweeps, restarts=0)
     problem = Problem(robot, goal, solver="ccd", budget=budget, **options)
     assert problem.solve(start).iterations <= sweeps
@@ -74,7 +74,7 @@ def test_free_bones_rotate_as_in_the_textbook():
 
 
 def test_hinges_take_their_part_of_the_free_rotation():
-    """The bones of this arm are three hinges through one point; each takes its twist."""
+    """The bones of this arm are three hinges through one point. Each takes its own twist."""
     arm = load_robot("seven_segment")
     rng = np.random.default_rng(6)
     bend = np.array([np.inf if name.endswith("twist") else 0.8 for name in arm.joints])
@@ -99,7 +99,7 @@ def test_hinges_take_their_part_of_the_free_rotation():
 
 @both_axes
 @pytest.mark.parametrize("factor", [0.5, 3.0, -0.7])
-def test_collinear_vectors_have_no_axis_and_do_no_harm(axis, factor):
+def test_collinear_vectors_have_no_axis_and_give_finite_angles(axis, factor):
     """Straight chain, target on its line: no rotation is better than another, nothing is NaN."""
     chain = make_chain(4, length=0.3)
     tip = chain.forward(chain.home).position
@@ -134,7 +134,7 @@ def test_limits_hold_after_every_sweep_and_are_reached_exactly(axis, robot_name,
     assert at_limits > 3 or robot_name == "tree"
 
 
-# A single hinge takes less of a free rotation than would be best for it, and creeps.
+# A single hinge takes less of a free rotation than its optimum, and converges slowly.
 @pytest.mark.parametrize(("axis", "puma_rate"), [("joint", 1.0), ("free", 0.8)])
 def test_both_axes_reach_positions(axis, puma_rate, robots, reachable):
     for robot in (robots("puma560"), robots("tree"), make_chain(5)):

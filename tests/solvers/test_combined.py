@@ -1,4 +1,4 @@
-"""combined: methods in turn within one budget, from one start or from each other's results."""
+"""combined: methods in turn within one budget, from one start or from the last method's result."""
 
 import numpy as np
 import pytest
@@ -24,8 +24,8 @@ def poses_of(robot, count, seed=1):
     return [robot.forward(robot.sample(rng)) for _ in range(count)]
 
 
-def behind_the_limits():
-    """A pose that no method reaches, and that nothing proves unreachable."""
+def pose_beyond_the_limits():
+    """A pose that no method reaches, and that no method proves unreachable."""
     return PoseGoal(None, (0.02, 0.03, -0.5), (0.5, 0.5, -0.5, 0.5))
 
 
@@ -75,14 +75,14 @@ def test_methods_that_do_not_support_the_problem_are_left_out(puma):
 @pytest.mark.parametrize("methods", ["", "auto", "lm combined"])
 def test_only_single_methods_can_be_combined(puma, methods):
     with pytest.raises(OptionError, match=r"methods.*single methods"):
-        combined(puma, behind_the_limits(), methods)
+        combined(puma, pose_beyond_the_limits(), methods)
 
 
 def test_unknown_methods_are_refused_with_close_names(puma):
     with pytest.raises(UnknownSolverError, match="fabrik"):
-        combined(puma, behind_the_limits(), "fabric lm")
+        combined(puma, pose_beyond_the_limits(), "fabric lm")
     with pytest.raises(OptionError, match=r"methods.*text"):
-        combined(puma, behind_the_limits(), 3)
+        combined(puma, pose_beyond_the_limits(), 3)
 
 
 # One budget
@@ -90,7 +90,7 @@ def test_unknown_methods_are_refused_with_close_names(puma):
 
 def test_the_solution_reports_the_steps_of_all_methods(puma):
     budget = Budget(iterations=400, restarts=3)
-    goal = behind_the_limits()
+    goal = pose_beyond_the_limits()
     together = combined(puma, goal, "ccd lm", budget=budget, trace=True).solve()
     first = Problem(puma, goal, solver="ccd", budget=budget, trace=True).solve()
     rest = Budget(iterations=400 - first.iterations, restarts=3 - first.restarts)
@@ -107,17 +107,17 @@ def test_the_solution_reports_the_steps_of_all_methods(puma):
 
 
 def test_a_budget_of_seconds_is_one_for_all_methods(puma):
-    combined(puma, behind_the_limits(), "ccd lm", budget=Budget(iterations=1)).solve()
+    combined(puma, pose_beyond_the_limits(), "ccd lm", budget=Budget(iterations=1)).solve()
     endless = Budget(iterations=1 << 40, seconds=0.15, restarts=1 << 40)
-    solution = combined(puma, behind_the_limits(), "ccd lm", budget=endless).solve()
+    solution = combined(puma, pose_beyond_the_limits(), "ccd lm", budget=endless).solve()
     assert solution.status is Status.TIME_LIMIT
     assert solution.seconds >= 0.15
 
 
 @pytest.mark.parametrize("methods", ["ccd lm", "dls lm"])
-def test_a_spent_budget_is_not_reported_as_a_failure(puma, methods):
+def test_an_exhausted_budget_is_not_reported_as_a_failure(puma, methods):
     budget = Budget(iterations=40)
-    solution = combined(puma, behind_the_limits(), methods, budget=budget).solve()
+    solution = combined(puma, pose_beyond_the_limits(), methods, budget=budget).solve()
     assert solution.status is Status.ITERATION_LIMIT
     assert solution.iterations == 40
 
@@ -129,7 +129,7 @@ def test_a_goal_that_is_proven_out_of_reach_gets_no_restarts(puma):
 
 
 class Recorder:
-    """A prepared method that remembers its budget."""
+    """A prepared method that stores its budget."""
 
     proves_best = False
 
@@ -145,7 +145,7 @@ class Recorder:
 @pytest.mark.parametrize(
     ("others", "restarts"), [([], 0), ([OrientationGoal(None, (1, 0, 0, 0))], None)]
 )
-def test_goals_beside_one_that_is_out_of_reach_get_restarts(puma, others, restarts):
+def test_goals_beside_an_unreachable_goal_get_restarts(puma, others, restarts):
     far = PositionGoal("flange", (3.0, 1.0, 1.0))
     problem = Problem(puma, [far, *others], solver="ccd")
     attempts = [Recorder("ccd", problem), Recorder("lm", problem)]
@@ -155,7 +155,7 @@ def test_goals_beside_one_that_is_out_of_reach_get_restarts(puma, others, restar
 
 
 def test_the_better_of_two_failures_is_kept(puma):
-    goal = behind_the_limits()
+    goal = pose_beyond_the_limits()
     budget = Budget(restarts=0)
     costs = {}
     for methods in ("transpose", "lm", "lm transpose", "transpose lm"):
@@ -176,7 +176,7 @@ def test_the_better_of_two_failures_is_kept(puma):
 )
 def test_a_batch_shares_the_budget_as_single_solves_do(puma, budget, hand_over):
     goals = [PoseGoal.at(None, pose) for pose in poses_of(puma, 6)]
-    goals += [behind_the_limits(), behind_the_limits(), PoseGoal(None, (3.0, 1.0, 1.0))]
+    goals += [pose_beyond_the_limits(), pose_beyond_the_limits(), PoseGoal(None, (3.0, 1.0, 1.0))]
     poses = [goal.target for goal in goals]
     options = {"methods": "dls analytic lm", "hand_over": hand_over}
     batch = rik.solve_batch(puma, poses, solver="combined", budget=budget, **options)
@@ -224,7 +224,7 @@ def test_handing_over_takes_fewer_steps_than_a_slow_method_alone(puma):
 
 
 def test_only_the_last_method_restarts_after_a_hand_over(puma):
-    goal = behind_the_limits()
+    goal = pose_beyond_the_limits()
     first = Problem(puma, goal, solver="ccd", budget=Budget(restarts=0)).solve()
     budget = Budget(iterations=5_000)
     together = combined(puma, goal, "ccd dls", hand_over=True, budget=budget, trace=True).solve()
@@ -232,11 +232,11 @@ def test_only_the_last_method_restarts_after_a_hand_over(puma):
     assert together.restarts > 0
 
 
-def test_the_start_of_a_solve_is_not_that_of_the_solve_before(puma):
+def test_a_solve_does_not_start_at_the_end_of_the_last_solve(puma):
     pose = poses_of(puma, 1)[0]
     problem = combined(puma, PoseGoal.at(None, pose), "ccd dls", hand_over=True)
     first = problem.solve()
-    problem.solve(target=behind_the_limits().target)
+    problem.solve(target=pose_beyond_the_limits().target)
     again = problem.solve(target=pose)
     assert again.q.tobytes() == first.q.tobytes()
     assert again.iterations == first.iterations

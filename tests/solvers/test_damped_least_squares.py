@@ -21,7 +21,7 @@ def damped(jacobian, e, damping):
 
 @cases
 @pytest.mark.parametrize("svd", [False, True])
-def test_a_step_is_the_formula(robot_name, kind, svd, near_problems, linear_model, one_step):
+def test_a_step_equals_the_formula(robot_name, kind, svd, near_problems, linear_model, one_step):
     for problem, q in near_problems(robot_name, kind):
         jacobian, e = linear_model(problem, q)
         step = one_step(DampedLeastSquares(damping=0.3, svd=svd, **FREE_STEP), problem, q)

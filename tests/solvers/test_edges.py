@@ -1,4 +1,4 @@
-"""Goals at the edges of what may be asked: refused, or defined, as docs/reference/goals.md says."""
+"""Unusual goals: refused, or with the result that docs/reference/goals.md defines."""
 
 import numpy as np
 import pytest
@@ -33,13 +33,13 @@ from robot_ik.inverse_kinematics import solve
 from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solvers import SOLVERS, make_solver
-from tests.solvers.law_cases import served
+from tests.solvers.law_cases import supported_problem
 
 SHORT = Budget(iterations=300)
 FEW = settings(max_examples=50)
 names = pytest.mark.parametrize("name", list(SOLVERS))
 
-# What comes out of a divided by zero, a file that was cut off, a wrong column …
+# Values from a division by zero, a truncated file, a wrong column and so on.
 ODD = st.one_of(
     st.sampled_from(
         [
@@ -76,7 +76,7 @@ def puma():
         [PositionGoal, AimGoal, LineGoal, PlaneGoal, HalfSpaceGoal, CenterOfMassGoal]
     ),
 )
-def test_whatever_is_given_as_a_place_is_a_place_or_refused(odd, makes):
+def test_any_position_argument_is_accepted_or_refused(odd, makes):
     try:
         goal = makes(None, odd)
     except InvalidGoalError as error:
@@ -87,7 +87,7 @@ def test_whatever_is_given_as_a_place_is_a_place_or_refused(odd, makes):
 
 @FEW
 @given(odd=ODD)
-def test_whatever_is_given_as_an_orientation_a_posture_or_an_axis_is_one_or_refused(odd):
+def test_any_orientation_posture_or_axis_argument_is_accepted_or_refused(odd):
     for make in (
         lambda: OrientationGoal(None, odd),
         lambda: PoseGoal(None, (0, 0, 0), odd),
@@ -113,7 +113,7 @@ def test_whatever_is_given_as_an_orientation_a_posture_or_an_axis_is_one_or_refu
 
 @FEW
 @given(odd=ODD)
-def test_whatever_is_given_as_a_start_or_a_batch_is_one_or_refused(puma, odd):
+def test_any_start_or_batch_argument_is_accepted_or_refused(puma, odd):
     goal = PositionGoal(None, (0.3, 0.3, 0.5))
     poses = np.tile(np.eye(4), (2, 1, 1))
     for ask, error in (
@@ -142,9 +142,7 @@ KINDS = [
 
 @FEW
 @given(odd=ODD, kind=st.sampled_from(KINDS))
-def test_whatever_is_given_as_a_new_target_is_one_or_is_refused_and_changes_nothing(
-    puma, odd, kind
-):
+def test_any_new_target_is_accepted_or_refused_without_a_change(puma, odd, kind):
     problem = Problem(puma, kind)
     before = problem.search.arrays["target"].copy(), problem.goals[0]
     try:
@@ -162,7 +160,7 @@ def test_whatever_is_given_as_a_new_target_is_one_or_is_refused_and_changes_noth
 @pytest.mark.parametrize(
     "matrix", [np.zeros((4, 4)), np.diag([2.0, 2, 2, 1]), np.diag([1.0, 1, -1, 1])]
 )
-def test_a_matrix_that_is_no_rotation_is_no_target(puma, kind, matrix):
+def test_a_target_matrix_that_is_not_a_rotation_is_refused(puma, kind, matrix):
     problem = Problem(puma, kind)
     with pytest.raises(InvalidGoalError, match="is not a rotation"):
         problem.retarget(matrix)
@@ -170,13 +168,13 @@ def test_a_matrix_that_is_no_rotation_is_no_target(puma, kind, matrix):
 
 
 @pytest.mark.parametrize("nothing", [[], (), None, 5, "abc", np.zeros(4), [None], [[]]])
-def test_no_goals_are_refused(puma, nothing):
+def test_an_empty_list_of_goals_is_refused(puma, nothing):
     with pytest.raises(GoalError, match="one or more goals"):
         solve(puma, nothing)
 
 
 @pytest.mark.parametrize(
-    ("ask", "says"),
+    ("ask", "message"),
     [
         (lambda robot, goal: solve("puma560", goal), "load_robot"),
         (lambda robot, goal: solve(robot, goal, tolerance=1e-3), "Tolerance"),
@@ -193,17 +191,17 @@ def test_no_goals_are_refused(puma, nothing):
         (lambda robot, goal: solve(robot, PostureGoal(q=[1, 2])), "has 6 numbers"),
     ],
 )
-def test_likely_mistakes_are_answered_in_a_sentence(puma, ask, says):
-    with pytest.raises(RobotIkError, match=says):
+def test_likely_mistakes_get_a_clear_message(puma, ask, message):
+    with pytest.raises(RobotIkError, match=message):
         ask(puma, PositionGoal(None, (0.3, 0.3, 0.5)))
 
 
-def test_no_solver_is_an_unknown_solver(puma):
+def test_none_is_an_unknown_solver(puma):
     with pytest.raises(UnknownSolverError, match="unknown solver None"):
         solve(puma, KINDS[0], solver=None)
 
 
-def test_a_class_in_place_of_a_solver_is_named(puma):
+def test_a_solver_class_is_refused_with_its_name(puma):
     with pytest.raises(
         OptionError, match=r"LevenbergMarquardt is a class.*\n.*LevenbergMarquardt\(\)"
     ):
@@ -214,7 +212,7 @@ def test_a_class_in_place_of_a_solver_is_named(puma):
 
 
 @names
-def test_what_weighs_nothing_is_met_where_it_stands(puma, name):
+def test_a_goal_with_weight_zero_is_met_at_the_start(puma, name):
     goals = [
         PositionGoal(None, (1e9, 0, 0), weight=0),
         PoseGoal(None, (5, 5, 5), (0, 1, 0, 0), position_weight=0, angle_weight=0),
@@ -225,7 +223,7 @@ def test_what_weighs_nothing_is_met_where_it_stands(puma, name):
     ]
     solver = make_solver(name)
     for asked in [*goals, goals]:
-        problem = served(puma, asked, solver=solver)
+        problem = supported_problem(puma, asked, solver=solver)
         if problem is None:
             continue
         solution = problem.solve(np.full(6, 0.1))
@@ -238,16 +236,16 @@ def test_what_weighs_nothing_is_met_where_it_stands(puma, name):
 
 
 @names
-def test_the_same_goal_twice_is_that_goal(puma, name):
+def test_a_repeated_goal_equals_a_single_goal(puma, name):
     solver = make_solver(name)
     rng = np.random.default_rng(1)
     for kind in ("position", "pose"):
         pose = puma.forward(puma.clip(puma.home + rng.uniform(-0.3, 0.3, 6)))
         goal = PositionGoal(None, pose.position) if kind == "position" else PoseGoal.at(None, pose)
-        if served(puma, goal, solver=solver) is None:
+        if supported_problem(puma, goal, solver=solver) is None:
             continue
         once = Problem(puma, goal, solver=solver).solve()
-        if served(puma, [goal] * 3, solver=solver) is None:
+        if supported_problem(puma, [goal] * 3, solver=solver) is None:
             with pytest.raises(UnsupportedGoalError, match=name):
                 Problem(puma, [goal] * 3, solver=solver)
             continue

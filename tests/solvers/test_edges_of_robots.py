@@ -1,4 +1,4 @@
-"""Limits, sizes and joints at their edges, as docs/reference/goals.md defines, for every method."""
+"""Unusual limits, sizes and joints, as docs/reference/goals.md defines, for every method."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers import SOLVERS, make_solver
-from tests.solvers.law_cases import served
+from tests.solvers.law_cases import supported_problem
 
 SHORT = Budget(iterations=300)
 FEW = settings(max_examples=50)
@@ -53,7 +53,7 @@ def make_robot(tmp_path_factory):
 
 
 def chain(scale=1.0, ranges=("-2 2",) * 3):
-    """Three hinges; masses are stated, because MuJoCo wants some even of a tiny arm."""
+    """Three hinges. The masses are stated, because MuJoCo needs them even for a tiny arm."""
     bodies = ""
     inertia = '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
     for offset, axis, limits in zip(
@@ -73,8 +73,8 @@ def one_joint(kind='type="hinge" axis="0 0 1" range="-1 1"'):
     )
 
 
-def honest(robot, solution, tolerance):
-    """q finite and inside, and the status as MuJoCo's error has it."""
+def assert_status_is_true(robot, solution, tolerance):
+    """Assert that q is finite and inside the limits, and that the status agrees with MuJoCo."""
     assert np.isfinite(solution.q).all() and not robot.outside(solution.q)
     within = (
         solution.error.position <= tolerance.position and solution.error.angle <= tolerance.angle
@@ -88,7 +88,7 @@ def honest(robot, solution, tolerance):
 @pytest.mark.parametrize(
     "joint",
     [
-        'type="hinge" axis="0 0 1" range="1 -1"',  # MuJoCo alone takes this for no limit
+        'type="hinge" axis="0 0 1" range="1 -1"',  # MuJoCo reads this as no limit
         'type="hinge" axis="0 0 1" range="1 -1" limited="true"',
         'type="hinge" axis="0 0 1" range="0.5 0.5"',
         'type="slide" axis="0 0 1" range="2 1"',
@@ -102,7 +102,7 @@ def test_a_range_whose_lower_end_is_above_its_upper_is_refused(make_robot, joint
 
 
 @pytest.mark.parametrize(
-    ("lower", "upper", "says"),
+    ("lower", "upper", "message"),
     [
         ([1], [-1], "lower <= upper"),
         ([2], [3], "no range is left for joint 'j'"),
@@ -114,27 +114,27 @@ def test_a_range_whose_lower_end_is_above_its_upper_is_refused(make_robot, joint
         ("low", "high", "1 numbers each"),
     ],
 )
-def test_limits_that_leave_no_room_or_make_no_sense_are_refused(make_robot, lower, upper, says):
-    with pytest.raises(ModelError, match=says):
+def test_limits_that_are_empty_or_malformed_are_refused(make_robot, lower, upper, message):
+    with pytest.raises(ModelError, match=message):
         make_robot(one_joint()).with_limits(lower, upper)
 
 
 @names
-def test_limits_may_hold_a_joint_in_one_place(make_robot, name):
+def test_equal_limits_hold_a_joint(make_robot, name):
     robot = make_robot(chain(), tool="tip")
     held = robot.with_limits([-2, 0.3, -2], [2, 0.3, 2])
     goal = PositionGoal(None, held.forward([0.4, 0.3, 0.6]).position)
-    if served(held, goal, solver=name) is None:
+    if supported_problem(held, goal, solver=name) is None:
         return
     solution = solve(held, goal, solver=name)
     assert solution.q[1] == 0.3
-    honest(held, solution, Tolerance())
+    assert_status_is_true(held, solution, Tolerance())
     assert solution.converged or name == "recursive"
 
 
 @FEW
 @given(data=st.data(), seed=st.integers(0, 2**32))
-def test_a_start_outside_the_limits_begins_at_the_nearest_place_inside(puma, data, seed):
+def test_a_start_outside_the_limits_is_clipped(puma, data, seed):
     name = data.draw(st.sampled_from(["auto", "lm", "dls", "sdls", "ccd", "fabrik"]))
     rng = np.random.default_rng(seed)
     outside = rng.normal(size=6) * 10 ** rng.uniform(0, 200)
@@ -152,7 +152,7 @@ def test_a_start_outside_the_limits_begins_at_the_nearest_place_inside(puma, dat
 
 
 @names
-def test_targets_at_the_end_of_the_world_are_unreachable_and_nothing_breaks(puma, name):
+def test_very_distant_targets_are_unreachable_and_finite(puma, name):
     solver = make_solver(name)
     for far in (1e9, 1e99):
         for goal in (
@@ -164,22 +164,22 @@ def test_targets_at_the_end_of_the_world_are_unreachable_and_nothing_breaks(puma
             CenterOfMassGoal(None, (0, far, 0)),
             PostureGoal(q=np.full(6, far)),
         ):
-            problem = served(puma, goal, budget=SHORT, solver=solver)
+            problem = supported_problem(puma, goal, budget=SHORT, solver=solver)
             if problem is None:
                 continue
             solution = problem.solve()
-            honest(puma, solution, Tolerance())
+            assert_status_is_true(puma, solution, Tolerance())
             assert not solution.converged
             if not isinstance(goal, CenterOfMassGoal | PostureGoal):
                 assert solution.status is Status.UNREACHABLE
-    problem = served(puma, AimGoal(None, (1e9, 1e9, 1e9)), solver=solver)
-    if problem is not None:  # one may try it all the same
-        honest(puma, problem.solve(), Tolerance())
+    problem = supported_problem(puma, AimGoal(None, (1e9, 1e9, 1e9)), solver=solver)
+    if problem is not None:
+        assert_status_is_true(puma, problem.solve(), Tolerance())
 
 
 @names
 @pytest.mark.parametrize("scale", [1e-3, 1e3])
-def test_size_does_not_matter(make_robot, name, scale):
+def test_the_size_of_a_robot_does_not_change_the_result(make_robot, name, scale):
     solver = make_solver(name)
     results = []
     for size in (1.0, scale):
@@ -191,15 +191,15 @@ def test_size_does_not_matter(make_robot, name, scale):
             PoseGoal.at(None, here),
             AimGoal(None, here.position + size * here.rotation[:, 2]),
         ):
-            problem = served(
+            problem = supported_problem(
                 robot, goal, tolerance=tolerance, budget=Budget(iterations=3000), solver=solver
             )
             if problem is not None:
                 solution = problem.solve([0, 0.1, 0.1])
-                honest(robot, solution, tolerance)
+                assert_status_is_true(robot, solution, tolerance)
                 results.append((solution.status, solution.q))
     half = len(results) // 2
-    assert (half >= 1) == (name != "analytic")  # which knows no such chain
+    assert (half >= 1) == (name != "analytic")  # it has no closed form for this chain
     for (status, q), (other, there) in zip(results[:half], results[half:], strict=True):
         assert status is other
         np.testing.assert_allclose(q, there, atol=1e-5)
@@ -207,12 +207,12 @@ def test_size_does_not_matter(make_robot, name, scale):
 
 @names
 @pytest.mark.parametrize("fine", [1e-12, 1e-15, 1e-300])
-def test_a_tolerance_finer_than_floats_ends_and_says_so(puma, name, fine):
+def test_a_tolerance_below_rounding_ends_with_its_status(puma, name, fine):
     tolerance = Tolerance(fine, fine)
     solver = make_solver(name)
     there = puma.forward(puma.home + 0.2)
     for goal in (PositionGoal(None, there.position), PoseGoal.at(None, there)):
-        problem = served(puma, goal, tolerance=tolerance, budget=SHORT, solver=solver)
+        problem = supported_problem(puma, goal, tolerance=tolerance, budget=SHORT, solver=solver)
         if problem is None:
             continue
         solution = problem.solve()
@@ -227,7 +227,7 @@ def test_a_tolerance_finer_than_floats_ends_and_says_so(puma, name, fine):
 
 
 @names
-def test_one_joint_is_an_arm(make_robot, name):
+def test_a_robot_with_one_joint_is_solved(make_robot, name):
     robot = make_robot(one_joint(), tool="tip")
     solver = make_solver(name)
     goals = {
@@ -236,23 +236,27 @@ def test_one_joint_is_an_arm(make_robot, name):
         0.2: AimGoal(None, robot.forward([0.2]).apply([9, 0, 0]), axis="x"),
         -0.4: PostureGoal(q=[-0.4]),
     }
-    able = {q: goal for q, goal in goals.items() if served(robot, goal, solver=solver) is not None}
+    able = {
+        q: goal
+        for q, goal in goals.items()
+        if supported_problem(robot, goal, solver=solver) is not None
+    }
     for q, goal in able.items():
         solution = Problem(robot, goal, solver=solver).solve()
         assert solution.converged and solution.q == pytest.approx([q], abs=2e-3)
-    assert bool(able) == (name != "analytic")  # which knows no arm of one joint
+    assert bool(able) == (name != "analytic")  # it has no closed form for one joint
     for goal in (
         PositionGoal(None, (0, 0.5, 0)),
         PositionGoal(None, (0, 0, 0)),
         PositionGoal(None, (-0.5, 0, 0)),
     ):
-        if served(robot, goal, solver=solver) is not None:
-            honest(robot, Problem(robot, goal, solver=solver).solve(), Tolerance())
+        if supported_problem(robot, goal, solver=solver) is not None:
+            assert_status_is_true(robot, Problem(robot, goal, solver=solver).solve(), Tolerance())
 
 
 @names
 @pytest.mark.parametrize("frame", ["base", "link2"])  # fixed to the world; behind no active joint
-def test_a_frame_that_nothing_moves_is_there_or_never(name, frame):
+def test_a_goal_for_a_fixed_frame_is_met_at_once_or_never(name, frame):
     robot = load_robot("puma560", joints=["joint4", "joint5"])
     solver = make_solver(name)
     here = robot.forward(robot.home, frame)
@@ -265,7 +269,7 @@ def test_a_frame_that_nothing_moves_is_there_or_never(name, frame):
             AimGoal(frame, here.apply([moved, 0, 1])),
             LineGoal(frame, here.position + world, "z"),
         ):
-            problem = served(robot, goal, solver=solver)
+            problem = supported_problem(robot, goal, solver=solver)
             if problem is None:
                 continue
             solution = problem.solve()
@@ -276,12 +280,14 @@ def test_a_frame_that_nothing_moves_is_there_or_never(name, frame):
 
 
 @names
-def test_frozen_joints_stay_and_the_active_ones_are_enough(puma, name):
+def test_frozen_joints_stay_and_the_active_joints_reach_the_goal(puma, name):
     robot = load_robot("puma560", joints=["joint1", "joint2", "joint3"])
     q = robot.home + np.array([0.4, 0.2, -0.3])
     goal = PositionGoal(None, robot.forward(q).position)
     solution = (
-        solve(robot, goal, solver=name) if served(robot, goal, solver=name) is not None else None
+        solve(robot, goal, solver=name)
+        if supported_problem(robot, goal, solver=name) is not None
+        else None
     )
     if solution is not None and name != "recursive":
         assert solution.converged and solution.q.shape == (3,)

@@ -1,4 +1,4 @@
-"""fabrik: the paper's points on balls, real joints on arms, trees, goals out of reach, poses."""
+"""fabrik: the paper's points on balls, hinges of arms, trees, goals out of reach, poses."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def textbook(points, target):
 
 
 @pytest.mark.parametrize("n", [2, 3, 5, 8])
-def test_on_unlimited_balls_each_pass_is_the_papers(n):
+def test_on_unlimited_balls_each_pass_equals_that_of_the_paper(n):
     robot = rik.make_chain(n)
     names = [f"link{i}" for i in range(1, n + 1)] + ["tip"]
     rng = np.random.default_rng(n)
@@ -40,7 +40,7 @@ def test_on_unlimited_balls_each_pass_is_the_papers(n):
         points = positions(robot, start, names)
         for passes in (1, 2, 3):
             points = textbook(points, target)
-            # The last pass, not the best: a longer budget would begin from the same start.
+            # This is the last pass, not the best.
             problem = Problem(
                 robot,
                 PositionGoal(None, target),
@@ -62,7 +62,7 @@ def test_on_unlimited_balls_each_pass_is_the_papers(n):
 
 
 @pytest.mark.parametrize("n", range(2, 11))
-def test_balls_reach_everything_inside_and_stretch_towards_the_rest(n):
+def test_balls_reach_all_targets_in_reach_and_stretch_towards_others(n):
     robot = rik.make_chain(n, 0.5)
     rng = np.random.default_rng(n)
     for reach in rng.uniform(0.02, 0.98, 6):
@@ -96,7 +96,7 @@ def test_the_last_ball_takes_the_orientation(n):
         tried += 1
 
 
-def test_half_a_turn_of_the_last_link_is_no_trap():
+def test_a_half_turn_of_the_last_link_is_solved():
     robot = rik.make_chain(3)
     goal = PoseGoal(None, (0.5, 0.0, 0.5), (0.0, 1.0, 0.0, 0.0))
     assert Problem(robot, goal, solver="fabrik", budget=Budget(restarts=0)).solve().converged
@@ -115,7 +115,7 @@ Y = """<mujoco><compiler angle="radian"/><worldbody>
 </body></body></worldbody></mujoco>"""
 
 
-def test_a_tree_serves_several_goals_through_its_sub_base():
+def test_a_tree_meets_several_goals_through_its_sub_base():
     robot = rik.load_robot(Y, tool="left")
     rng = np.random.default_rng(0)
     solved = 0
@@ -158,13 +158,13 @@ def test_a_goal_out_of_reach_is_left_out_until_the_other_is_met():
         assert alone.converged
         distance = np.linalg.norm(robot.measure(alone.q, "right").position - far)
         assert solution.errors[1].position < distance - 0.01
-        # A solve leaves nothing behind.
+        # A solve does not change the next solve.
         again = problem.solve()
         assert again.q.tobytes() == solution.q.tobytes()
         assert again.iterations == solution.iterations
 
 
-def test_slides_and_floating_bases_come_along():
+def test_slides_and_floating_bases_move_too():
     slide = '<joint name="rail" type="slide" axis="1 0 0" range="-1 1"/>'
     rail = f"""<mujoco><worldbody><body name="car">{slide}<geom size="0.1"/>
      <body pos="0 0 0.1"><joint type="ball"/><geom size="0.1"/>

@@ -1,6 +1,6 @@
 """The laws of every solver, for every kind of goal.
 
-``test_laws.py`` has them for whole positions, orientations and poses.
+``test_laws.py`` has them for complete positions, orientations and poses.
 ``test_goals_out_of_reach.py`` has the sixth law.
 """
 
@@ -23,25 +23,28 @@ from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers import SOLVERS, make_solver
-from tests.solvers.goal_judge import KINDS, TOLERANCE, goals_near, measured, near
-from tests.solvers.law_cases import served
+from tests.solvers.goal_checks import KINDS, TOLERANCE, goals_near, measured, near
+from tests.solvers.law_cases import supported_problem
 
 NAMES = list(SOLVERS)
 kinds = pytest.mark.parametrize("kind", KINDS)
 
 
-def _serving():
-    """Of each kind, the methods that serve it on the PUMA."""
+def _supporting():
+    """Return the names of the methods that support each kind of goal on the PUMA."""
     robot = load_robot("puma560")
     goals = goals_near(robot, 0)
-    return {k: [n for n in NAMES if served(robot, goals[k], solver=n) is not None] for k in KINDS}
+    return {
+        k: [n for n in NAMES if supported_problem(robot, goals[k], solver=n) is not None]
+        for k in KINDS
+    }
 
 
-NAMES_OF = _serving()
+NAMES_OF = _supporting()
 cases = pytest.mark.parametrize(
     ("name", "kind"), [(name, kind) for kind in KINDS for name in NAMES_OF[kind]]
 )
-# Methods that reach every goal near home; others may stall at limits or saddles, and say so.
+# Methods that reach every goal near home. Others may stall at limits or saddle points.
 SURE = ("auto", "lm", "combined", "sdls", "bfgs")
 
 
@@ -56,36 +59,36 @@ def outcome(solution):
     return solution.status, solution.iterations, solution.restarts, solution.q.tobytes()
 
 
-def test_every_kind_is_tried_and_the_table_says_who_serves_it(robots):
+def test_every_kind_of_goal_is_tested_with_the_methods_that_support_it(robots):
     # A pose prior belongs to one robot and has no error: tests/figure/motion/test_pose_prior.py.
     tried = {type(goal) for goal in goals_near(robots["puma560"], 0).values()}
-    assert tried == set(GOALS) - {PosePriorGoal}, "goals_met_at (goal_judge.py) has one of each"
+    assert tried == set(GOALS) - {PosePriorGoal}, "goals_met_at (goal_checks.py) has one of each"
     general = {"auto", "lm", "dls", "sdls", "bfgs", "pseudoinverse", "transpose", "combined"}
     for kind in KINDS:
         assert general <= set(NAMES_OF[kind]), kind
 
 
 @kinds
-def test_methods_that_do_not_serve_a_kind_refuse_it_by_name(robots, kind):
+def test_methods_that_do_not_support_a_kind_refuse_it_with_their_name(robots, kind):
     for robot in robots.values():
         goal = goals_near(robot, 0)[kind]
-        able = [name for name in NAMES if served(robot, goal, solver=name) is not None]
+        able = [name for name in NAMES if supported_problem(robot, goal, solver=name) is not None]
         for name in set(NAMES) - set(able):
-            with pytest.raises(UnsupportedGoalError, match=f"'{name}' cannot") as caught:
+            with pytest.raises(UnsupportedGoalError, match=f"'{name}' does not support") as caught:
                 Problem(robot, goal, solver=name)
-            # ``analytic`` names two that take over where no closed form is known.
+            # ``analytic`` names two methods for arms without a closed form.
             assert list(caught.value.able) == able or name == "analytic"
             assert caught.value.able and set(caught.value.able) <= set(able)
 
 
 @cases
-def test_laws_1_2_what_is_reported_is_true(robots, name, kind):
+def test_laws_1_2_the_reported_error_and_status_are_true(robots, name, kind):
     solver = make_solver(name)
     solved = 0
     for robot in robots.values():
         for seed in range(2):
             goal = goals_near(robot, seed)[kind]
-            problem = served(
+            problem = supported_problem(
                 robot, goal, tolerance=TOLERANCE, budget=Budget(iterations=2000), solver=solver
             )
             if problem is None:
@@ -103,11 +106,13 @@ def test_laws_1_2_what_is_reported_is_true(robots, name, kind):
 
 
 @cases
-def test_law_3_a_start_at_the_goal_is_the_answer(robots, name, kind):
+def test_law_3_a_start_at_the_goal_is_the_solution(robots, name, kind):
     tried = []
     for robot in robots.values():
         q = near(robot, 1)
-        problem = served(robot, goals_near(robot, 1)[kind], tolerance=TOLERANCE, solver=name)
+        problem = supported_problem(
+            robot, goals_near(robot, 1)[kind], tolerance=TOLERANCE, solver=name
+        )
         if problem is not None:
             solution = problem.solve(q)
             assert solution.converged and solution.iterations == 0 and solution.restarts == 0
@@ -117,14 +122,12 @@ def test_law_3_a_start_at_the_goal_is_the_answer(robots, name, kind):
 
 
 @cases
-def test_laws_4_5_9_retargeting_is_a_new_problem_and_nothing_is_remembered_or_modified(
-    robots, name, kind
-):
+def test_laws_4_5_9_retargeting_equals_a_new_problem_and_modifies_no_input(robots, name, kind):
     solver = make_solver(name)
     budget = Budget(iterations=60)
     for robot in (robots["srs_arm"], robots["humanoid"]):
         goals = [goals_near(robot, seed)[kind] for seed in (0, 1)]
-        hot = served(robot, goals[0], budget=budget, seed=3, solver=solver)
+        hot = supported_problem(robot, goals[0], budget=budget, seed=3, solver=solver)
         if hot is None:
             continue
         start = near(robot, 6)
@@ -149,7 +152,7 @@ def test_laws_7_8_budgets_hold_and_frozen_joints_stay(robots, name, kind):
     whole = robots["srs_arm"]
     robot = robots["part of srs_arm"]
     goal = goals_near(robot, 1)[kind]
-    if served(robot, goal, solver=name) is None:
+    if supported_problem(robot, goal, solver=name) is None:
         return
     solution = Problem(robot, goal, tolerance=TOLERANCE, solver=name).solve()
     assert solution.iterations > 0
@@ -178,7 +181,9 @@ def test_a_goal_is_met_by_its_own_tolerance(robots, name, kind):
     q = near(robot, 1)
     goal_at = goals_near(robot, 1)[kind]
     goal = dataclasses.replace(goal_at, tolerance=wide)
-    problem = served(robot, goal, tolerance=fine, budget=Budget(iterations=2000), solver=name)
+    problem = supported_problem(
+        robot, goal, tolerance=fine, budget=Budget(iterations=2000), solver=name
+    )
     if problem is None:
         return
     solution = problem.solve(robot.clip(q - 0.8))
@@ -229,14 +234,14 @@ def test_following_goals_of_every_kind(robots, name, kind):
     for goal, tick in zip(goals, (39, 79), strict=True):
         metres, radians = measured(robot, path.q[tick], goal)
         assert metres <= TOLERANCE.position and radians <= TOLERANCE.angle
-    assert np.array_equal(path.q[-1], path.q[-2])  # there, it stands still
+    assert np.array_equal(path.q[-1], path.q[-2])  # at the goal it is at rest
 
 
 # Batches and branches
 
 
 @pytest.mark.parametrize("name", ["auto", "lm", "dls"])
-def test_a_batch_gives_the_answers_of_single_solves(robots, name):
+def test_a_batch_gives_the_solutions_of_single_solves(robots, name):
     robot = robots["puma560"]
     poses = [*(robot.forward(near(robot, seed, 0.8)) for seed in range(4)), Pose((2.0, 0, 0))]
     for whole in (True, False):
@@ -254,7 +259,7 @@ def test_a_batch_gives_the_answers_of_single_solves(robots, name):
 
 
 @kinds
-def test_branches_are_those_of_whole_goals_and_all_others_refuse(robots, kind):
+def test_only_complete_goals_have_branches(robots, kind):
     robot = robots["puma560"]
     goal = goals_near(robot, 0)[kind]
     if kind != "pose":

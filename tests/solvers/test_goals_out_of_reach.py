@@ -1,4 +1,4 @@
-"""Goals of every kind that cannot be met: an honest status, a local minimum, and rest."""
+"""Goals of every kind that cannot be met: a true status, a local minimum, and rest."""
 
 import dataclasses
 
@@ -25,14 +25,14 @@ from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers import SOLVERS, make_solver
 from tests.residual_rows import columns_of
-from tests.solvers.goal_judge import BODY, KINDS, LOOKS, TOLERANCE, cost, direction, measured, near
-from tests.solvers.law_cases import served
+from tests.solvers.goal_checks import BODY, KINDS, LOOKS, TOLERANCE, cost, direction, measured, near
+from tests.solvers.law_cases import supported_problem
 
 UNREACHABLE = tuple(kind for kind in KINDS if kind != "some joints")
 
 
 @pytest.fixture(scope="module")
-def tied():
+def narrow_robots():
     """The PUMA and the figure (standing on its pelvis) with little range in every joint."""
     figure = load_robot("humanoid")
     figure = load_robot("humanoid", joints=[joint for joint in figure.joints if joint != "root"])
@@ -43,7 +43,7 @@ def tied():
     return {robot.name: robot for robot in narrow}
 
 
-def never(robot, kind):
+def unreachable_goal(robot, kind):
     """A goal of that kind that the limits put out of reach."""
     pose = robot.forward(robot.home)
     (eye, axis) = LOOKS[robot.name]
@@ -95,24 +95,24 @@ def slope(problem, q):
 
 @unreachable
 @pytest.mark.parametrize("name", ["auto", "lm", "combined"])
-def test_law_6_lm_ends_where_no_small_step_helps(tied, name, kind):
+def test_law_6_lm_ends_where_no_small_step_helps(narrow_robots, name, kind):
     # The default budget polishes the best descent. A budget that ends between two does not.
     budget = Budget() if name == "lm" else Budget(restarts=0)
-    for robot in tied.values():
+    for robot in narrow_robots.values():
         problem = Problem(
-            robot, never(robot, kind), tolerance=TOLERANCE, budget=budget, solver=name
+            robot, unreachable_goal(robot, kind), tolerance=TOLERANCE, budget=budget, solver=name
         )
         solution = problem.solve(near(robot, 2, 0.1))
         assert not solution.converged
-        if kind == "posture":  # each joint by itself: as far as it may
+        if kind == "posture":  # each joint is at its nearest allowed value
             np.testing.assert_allclose(solution.q, robot.clip(problem.goals[0].q), atol=1e-6)
         else:
             assert slope(problem, solution.q) < 1e-3
 
 
 @pytest.mark.parametrize("name", ["lm", "dls", "sdls", "pseudoinverse", "transpose", "bfgs"])
-def test_law_6_stretched_out_to_a_far_goal_it_ends_where_no_small_step_helps(name):
-    """There the Jacobian loses a row, and a step nearly follows a level line of the cost."""
+def test_law_6_stretched_out_to_a_distant_goal_no_small_step_helps(name):
+    """The Jacobian is nearly singular there, and a step hardly changes the cost."""
     robot = load_robot("puma560")
     rng = np.random.default_rng(1)
     for _ in range(4):
@@ -133,11 +133,11 @@ def test_law_6_stretched_out_to_a_far_goal_it_ends_where_no_small_step_helps(nam
 
 @unreachable
 @pytest.mark.parametrize("name", list(SOLVERS))
-def test_law_6_what_cannot_be_reached_is_said_and_approached(tied, name, kind):
-    for robot in tied.values():
-        problem = served(
+def test_law_6_an_unreachable_goal_is_reported_and_approached(narrow_robots, name, kind):
+    for robot in narrow_robots.values():
+        problem = supported_problem(
             robot,
-            never(robot, kind),
+            unreachable_goal(robot, kind),
             tolerance=TOLERANCE,
             budget=Budget(iterations=200),
             solver=name,
@@ -158,10 +158,12 @@ def test_law_6_what_cannot_be_reached_is_said_and_approached(tied, name, kind):
 
 @unreachable
 @pytest.mark.parametrize("name", ["auto", "lm", "dls", "sdls", "bfgs"])
-def test_law_6_tracking_comes_to_rest(tied, name, kind):
-    for robot in tied.values():
+def test_law_6_tracking_comes_to_rest(narrow_robots, name, kind):
+    for robot in narrow_robots.values():
         budget = Budget(restarts=0)
-        problem = served(robot, never(robot, kind), solver=name, tolerance=TOLERANCE, budget=budget)
+        problem = supported_problem(
+            robot, unreachable_goal(robot, kind), solver=name, tolerance=TOLERANCE, budget=budget
+        )
         if problem is None:
             continue
         q = robot.home
@@ -181,12 +183,12 @@ def test_law_6_tracking_comes_to_rest(tied, name, kind):
     ids=["later", "light", "light elsewhere"],
 )
 @pytest.mark.parametrize("method", ["auto", "bfgs"])
-def test_a_goal_out_of_reach_does_not_switch_the_search_off_for_the_others(name, other, method):
+def test_an_unreachable_goal_does_not_end_the_search_for_other_goals(name, other, method):
     """A goal 9 m away does not change which of 60 random poses are met."""
     robot = load_robot(name)
     rng = np.random.default_rng(0)
     if method == "bfgs" and "priority" in other:
-        other = {"weight": 1e-6}  # the methods without priorities
+        other = {"weight": 1e-6}  # for methods without priorities
     frame = {"wrist": robot.frames[-1]}.get(other.get("frame"))
     extra = {key: value for key, value in other.items() if key != "frame"}
     far = PositionGoal(frame, (9.0, 0.0, 0.0), **extra)
@@ -202,7 +204,7 @@ def test_a_goal_out_of_reach_does_not_switch_the_search_off_for_the_others(name,
     assert missed == []
 
 
-def test_a_wall_out_of_reach_does_not_switch_the_search_off_either():
+def test_an_unreachable_half_space_does_not_end_the_search():
     robot = load_robot("puma560")
     rng = np.random.default_rng(1)
     for _ in range(20):
@@ -213,7 +215,7 @@ def test_a_wall_out_of_reach_does_not_switch_the_search_off_either():
         assert both.errors[0].position <= 1e-4 and both.errors[0].angle <= 1e-3
 
 
-def test_the_search_beside_a_goal_out_of_reach_forgets_nothing_and_leaves_nothing_behind():
+def test_goals_left_out_of_the_search_count_in_the_result_and_the_next_solve():
     """Goals that the search left out count again in the result and in the next solve."""
     robot = load_robot("puma560")
     rng = np.random.default_rng(2)
@@ -242,7 +244,7 @@ def test_beside_a_heavy_goal_out_of_reach_tracking_comes_to_rest():
     assert max(steps[30:]) <= 1e-3
 
 
-def test_length_says_how_many_metres_are_worth_a_radian():
+def test_length_sets_the_metres_that_count_as_one_radian():
     """A00's scale c: with a longer length metres count less, and the result minimises that cost."""
     robot = load_robot("puma560")
     errors = []

@@ -22,7 +22,7 @@ def buss(jacobian, e):
 
 
 @cases
-def test_a_step_is_busss(robot_name, kind, near_problems, linear_model, one_step):
+def test_a_step_equals_the_formula_of_buss(robot_name, kind, near_problems, linear_model, one_step):
     for problem, q in near_problems(robot_name, kind):
         jacobian, e = linear_model(problem, q)
         step = one_step(JacobianTranspose(**FREE_STEP), problem, q)
@@ -34,7 +34,7 @@ def test_a_step_is_busss(robot_name, kind, near_problems, linear_model, one_step
 
 
 @cases
-def test_every_step_leads_down_near_a_goal(robot_name, kind, near_problems):
+def test_every_step_reduces_the_cost_near_a_goal(robot_name, kind, near_problems):
     for problem, q in near_problems(robot_name, kind):
         budget = Budget(iterations=30, restarts=0)
         traced = Problem(
@@ -98,7 +98,7 @@ def test_a_joint_at_its_limit_does_not_freeze_the_others(robots, linear_model, o
     assert steps_at_limits > 5
 
 
-def test_stretched_out_with_the_goal_on_the_line_no_slope_is_no_step(robots, one_step):
+def test_stretched_out_with_the_goal_on_the_line_the_step_is_zero(robots, one_step):
     robot = robots("planar")
     problem = Problem(robot, PositionGoal(None, (0.8, 0, 0)), solver=JacobianTranspose())
     assert not one_step(JacobianTranspose(), problem, np.zeros(3)).any()

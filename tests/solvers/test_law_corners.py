@@ -13,7 +13,7 @@ from tests.solvers.law_cases import general, goal_of, inside, measured, outcome
 
 
 @general
-def test_a_start_outside_the_limits_is_brought_inside(name, robots):
+def test_a_start_outside_the_limits_gives_a_solution_inside(name, robots):
     robot = robots("planar")
     outside = np.array([3.1, -2.9, 2.5])
     kept = outside.copy()
@@ -28,7 +28,7 @@ def test_a_start_outside_the_limits_is_brought_inside(name, robots):
 
 
 @general
-def test_a_frame_that_nothing_moves_is_reached_or_not(name, robots):
+def test_a_fixed_frame_is_reached_or_not(name, robots):
     robot = robots("planar")
     there = Problem(robot, PositionGoal("nail", (0.3, 0.3, 0)), solver=name).solve()
     assert there.converged and there.iterations == 0
@@ -52,7 +52,7 @@ def test_several_goals_at_once(name, robots, reachable):
 
 
 @general
-def test_the_trace_tells_the_same_story(name, robots, reachable):
+def test_the_trace_agrees_with_the_solution(name, robots, reachable):
     robot = robots("puma560")
     goal = goal_of(robot, reachable(robot, 1)[0])
     quiet = Problem(robot, goal, seed=2, solver=name).solve()
@@ -68,7 +68,7 @@ def test_the_trace_tells_the_same_story(name, robots, reachable):
         assert trace[-1].angle == pytest.approx(solution.error.angle, abs=1e-7)
 
 
-def test_a_trace_grows_as_it_is_used(name="ccd"):
+def test_a_trace_has_no_fixed_length(name="ccd"):
     """For any budget. A solve that returns rows in between gives the same bits."""
     robot = load_robot("puma560")
     goal = PositionGoal(None, (-0.45, -0.10, 0.80))
@@ -81,6 +81,6 @@ def test_a_trace_grows_as_it_is_used(name="ccd"):
         Problem(robot, goal, tolerance=never, budget=budget, trace=trace, solver=name).solve()
         for trace in (True, False)
     )
-    assert traced.iterations > 1024  # more than are kept in the work space
+    assert traced.iterations > 1024  # more rows than the kernel stores
     assert [step.iteration for step in traced.trace] == list(range(1, traced.iterations + 1))
     assert traced.q.tobytes() == plain.q.tobytes() and traced.restarts == plain.restarts

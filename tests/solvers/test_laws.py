@@ -1,4 +1,4 @@
-"""The laws that every solver keeps, on every robot of the contract."""
+"""The laws of every solver, on every robot of the contract."""
 
 import numpy as np
 import pytest
@@ -24,15 +24,15 @@ from tests.solvers.law_cases import (
     general,
     goal_of,
     inside,
+    is_supported,
     measured,
     outcome,
-    serves,
     stepping,
 )
 
 
 @cases()
-def test_laws_1_2_what_is_reported_is_true(name, robot_name, kind, robots, reachable):
+def test_laws_1_2_the_reported_error_and_status_are_true(name, robot_name, kind, robots, reachable):
     robot = robots(robot_name)
     solver = make_solver(name)
     for q in reachable(robot, 5):
@@ -47,7 +47,7 @@ def test_laws_1_2_what_is_reported_is_true(name, robot_name, kind, robots, reach
 
 
 @cases()
-def test_law_3_a_start_at_the_goal_is_the_answer(name, robot_name, kind, robots, reachable):
+def test_law_3_a_start_at_the_goal_is_the_solution(name, robot_name, kind, robots, reachable):
     robot = robots(robot_name)
     for q in reachable(robot, 5):
         solution = Problem(robot, goal_of(robot, q, kind), solver=name).solve(q)
@@ -56,7 +56,7 @@ def test_law_3_a_start_at_the_goal_is_the_answer(name, robot_name, kind, robots,
 
 
 @cases("pose", "position")
-def test_laws_4_9_the_same_seed_gives_the_same_bits_whatever_was_solved_before(
+def test_laws_4_9_the_same_seed_gives_equal_bits_after_other_solves(
     name, robot_name, kind, robots, reachable
 ):
     robot = robots(robot_name)
@@ -72,7 +72,7 @@ def test_laws_4_9_the_same_seed_gives_the_same_bits_whatever_was_solved_before(
 
 
 @cases("pose", "position")
-def test_law_5_inputs_are_not_modified_and_answers_are_not_shared(
+def test_law_5_inputs_are_not_modified_and_results_are_not_shared(
     name, robot_name, kind, robots, reachable
 ):
     robot = robots(robot_name)
@@ -120,7 +120,7 @@ def out_of_reach(robot_name, kind, where):
 
 @cases("position", "pose")
 @pytest.mark.parametrize("where", ["far", "near", "limits"])
-def test_law_6_what_cannot_be_reached_is_said_and_approached(
+def test_law_6_an_unreachable_goal_is_reported_and_approached(
     name, robot_name, where, kind, robots, reachable
 ):
     robot = robots(robot_name)
@@ -131,18 +131,18 @@ def test_law_6_what_cannot_be_reached_is_said_and_approached(
         assert not solution.converged and inside(robot, solution.q)
         if where == "far":
             assert solution.status is Status.UNREACHABLE
-        assert worth(problem, robot, solution.q, goal) <= worth(problem, robot, start, goal) * (
+        assert cost_of(problem, robot, solution.q, goal) <= cost_of(problem, robot, start, goal) * (
             1 + 1e-9
         )
 
 
-def worth(problem, robot, q, goal):
+def cost_of(problem, robot, q, goal):
     """Return the cost by MuJoCo: squares of metres over the length scale, and of radians."""
     metres, radians = measured(robot, q, goal)
     return (metres / length_scale(robot, goal)) ** 2 + radians**2
 
 
-# Methods that come to rest on a target they cannot reach; the others are reported, not promised.
+# Methods that come to rest at an unreachable target. The other methods may not.
 RESTING = ("auto", "lm", "dls", "sdls", "bfgs")
 TICKS = 140
 SETTLING = 100
@@ -201,7 +201,7 @@ def test_law_7_budgets_hold(name, robot_name, robots):
 def test_law_7_methods_that_take_few_steps_keep_budgets_too(name, robots):
     robot = robots("puma560")
     never = out_of_reach(
-        "puma560", "pose" if serves(name, "puma560", "pose") else "position", "near"
+        "puma560", "pose" if is_supported(name, "puma560", "pose") else "position", "near"
     )
     for budget, status in (
         (Budget(iterations=0), "ITERATION_LIMIT"),
@@ -271,7 +271,7 @@ def test_law_10_solve_rate(name, robot_name, kind, robots, reachable):
 
 @cases("pose", "position")
 def test_law_11_converged_means_free_of_collisions(name, robot_name, kind, robots, reachable):
-    """Two balls stand where the robot likes to be: some goals cannot be met freely."""
+    """Two balls are at positions of the robot, so some goals have no free solution."""
     robot = robots(robot_name)
     places = [robot.forward(q).position for q in reachable(robot, 12)[10:]]
     balls = [Sphere(f"ball {k}", radius=0.05, pose=Pose(p)) for k, p in enumerate(places)]

@@ -15,7 +15,7 @@ from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers import make_solver
-from tests.solvers.law_cases import served
+from tests.solvers.law_cases import supported_problem
 
 # A lift, and on it a wrist with a range of nearly two revolutions; home is at one end of them.
 ROUND = """<mujoco model="round"><compiler angle="radian"/><worldbody>
@@ -32,13 +32,13 @@ def arm(tmp_path, low, high):
 
 
 @pytest.mark.parametrize(("low", "goal_angle", "wraps"), [(-3.4, -2.9, True), (-2.0, -1.9, False)])
-def test_a_joint_goes_round_in_later_tries_where_it_has_a_turn(tmp_path, low, goal_angle, wraps):
+def test_a_joint_with_a_full_turn_wraps_around_in_restarts(tmp_path, low, goal_angle, wraps):
     robot = arm(tmp_path, low, 3.2)
     goal = PoseGoal.at("tool", robot.forward([0.4, goal_angle], "tool"))
-    # From home the short way to the goal is past the limit.
+    # The shortest rotation from home to the goal exceeds the limit.
     stuck = Problem(robot, goal, budget=Budget(restarts=0), solver="lm").solve()
     assert not stuck.converged and stuck.q[1] == pytest.approx(3.2)
-    # One random start: where it stands must not matter to a joint that may go round.
+    # The result must not depend on the random start if the joint may wrap around.
     once = [
         Problem(
             robot, goal, budget=Budget(restarts=1), seed=seed, solver=make_solver("lm", draws=1)
@@ -79,18 +79,18 @@ def test_the_options_of_every_jacobian_method(
     assert clamped_one
 
 
-def test_these_options_and_priorities_exclude_each_other_by_name(robots):
+def test_these_options_are_refused_with_priorities(robots):
     robot = robots("puma560")
     goals = [
         PositionGoal(None, (0.4, 0.1, 0.3)),
         PositionGoal("flange", (0.4, 0.1, 0.3), priority=1),
     ]
-    assert served(robot, goals, solver="lm") is not None
+    assert supported_problem(robot, goals, solver="lm") is not None
     with pytest.raises(UnsupportedGoalError, match="with clamp"):
         Problem(robot, goals, solver=make_solver("lm", gain=0.5)).solve()
 
 
-def test_better_random_starts_need_fewer_restarts(robots, reachable):
+def test_more_draws_need_fewer_restarts(robots, reachable):
     robot = robots("puma560")
     pose = robot.forward(robot.home)
     tolerance = Tolerance(1e-6, 1e-6)
@@ -119,7 +119,7 @@ def targets(problem):
     return problem.search.arrays["target"].reshape(-1, 4, 4).copy()
 
 
-def test_matrices_of_all_sorts_move_a_target_alike(robots, reachable):
+def test_matrices_of_all_memory_layouts_move_a_target_equally(robots, reachable):
     robot = robots("puma560")
     problem = Problem(robot, PoseGoal.at(None, robot.forward(robot.home)))
     matrix = robot.forward(reachable(robot, 1)[0]).matrix
@@ -154,7 +154,7 @@ def test_each_goal_is_moved_by_its_own_index(robots, reachable):
             problem.retarget(matrix, wrong)
 
 
-def test_what_is_out_of_reach_stays_so_from_solve_to_solve(robots):
+def test_an_unreachable_target_stays_unreachable_in_later_solves(robots):
     robot = robots("puma560")
     goal_angle = robot.forward(robot.home).matrix
     far = robot.forward(robot.home).matrix
@@ -166,7 +166,7 @@ def test_what_is_out_of_reach_stays_so_from_solve_to_solve(robots):
             assert problem.solve().status is status
 
 
-def test_steps_among_rows_and_among_columns_are_the_same():
+def test_steps_of_the_systems_of_rows_and_columns_are_the_same():
     """A pose as two goals of half weight has more rows than joints, and the same solution."""
     robot = load_robot("panda")
     rng = np.random.default_rng(1)
@@ -186,10 +186,10 @@ def test_steps_among_rows_and_among_columns_are_the_same():
         ]
         np.testing.assert_allclose(*costs, rtol=1e-6, atol=1e-18)
         taken_back += sum(later > earlier for earlier, later in pairwise(costs[0][:-1]))
-    assert taken_back > 5  # the step after one of these starts from where the last good one led
+    assert taken_back > 5  # the step after an undone step starts at the last accepted point
 
 
-def test_positions_of_all_sorts_move_a_target_alike():
+def test_positions_of_all_types_move_a_target_equally():
     robot = load_robot("puma560")
     position = robot.forward(robot.home).position
     for goal in (PositionGoal(None, (0.0, 0.0, 0.0)), PoseGoal(None, (0.0, 0.0, 0.0))):
@@ -214,7 +214,7 @@ def test_positions_of_all_sorts_move_a_target_alike():
         Problem(robot, OrientationGoal(None, (1, 0, 0, 0))).retarget(position)
 
 
-def test_the_last_descent_of_a_long_chain_costs_what_its_joints_do_and_not_their_cube():
+def test_the_polish_of_a_long_chain_does_not_cost_the_cube_of_its_joints():
     times = {}
     for joints in (50, 200):
         robot = hinge_chain(joints)

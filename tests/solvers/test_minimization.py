@@ -58,7 +58,7 @@ def slope_by_differences(problem, q, step=1e-5):
 
 
 @pytest.mark.parametrize(("robot_name", "kind"), [("puma560", "pose"), ("planar", "position")])
-def test_the_first_step_goes_down_the_slope_that_differences_find(
+def test_the_first_step_descends_along_the_gradient_by_differences(
     robot_name, kind, near_problems, one_step
 ):
     for problem, q in near_problems(robot_name, kind):
@@ -79,7 +79,7 @@ def test_the_cost_never_rises_within_a_try(robot_name, position, robots, reachab
         solution = problem.solve(start)
         assert not solution.converged and solution.restarts == 6
         for restart, rows in itertools.groupby(solution.trace, key=lambda row: row.restart):
-            if restart == 6:  # after the last try comes one from the best point
+            if restart == 6:  # after the last restart comes the polish of the best point
                 break
             costs = [row.cost for row in rows]
             assert all(after <= before * (1 + 1e-13) for before, after in itertools.pairwise(costs))
@@ -90,8 +90,8 @@ def test_the_cost_never_rises_within_a_try(robot_name, position, robots, reachab
 # Against SciPy
 
 
-def scipys_least(problem, linear_model, start):
-    """The cost at which L-BFGS-B ends inside the same box: slope and cost from MuJoCo."""
+def scipy_minimum(problem, linear_model, start):
+    """Return the cost at which L-BFGS-B ends in the same box, with gradient and cost by MuJoCo."""
     robot = problem.robot
 
     def cost_and_slope(x):
@@ -109,7 +109,7 @@ def scipys_least(problem, linear_model, start):
 
 @pytest.mark.parametrize("robot_name", ["puma560", "planar"])
 @pytest.mark.parametrize("what", ["out of reach", "goals that disagree"])
-def test_it_ends_where_scipy_ends(robot_name, what, robots, reachable, linear_model):
+def test_it_ends_at_the_minimum_of_scipy(robot_name, what, robots, reachable, linear_model):
     robot = robots(robot_name)
     same = 0
     count = 5
@@ -128,11 +128,11 @@ def test_it_ends_where_scipy_ends(robot_name, what, robots, reachable, linear_mo
         problem = Problem(robot, goals, budget=ONE_TRY, tolerance=FINE, solver=Minimization())
         q = problem.solve(near).q
         cost = half_square(problem, q)
-        assert scipys_least(problem, linear_model, q) >= cost - 1e-8 * (
+        assert scipy_minimum(problem, linear_model, q) >= cost - 1e-8 * (
             1 + cost
-        )  # nothing is left to win
-        same += abs(scipys_least(problem, linear_model, near) - cost) <= 1e-6 * cost
-    assert same >= 0.8 * count  # of several minima two methods need not find the same
+        )  # no lower cost is possible
+        same += abs(scipy_minimum(problem, linear_model, near) - cost) <= 1e-6 * cost
+    assert same >= 0.8 * count  # two methods may find different local minima
 
 
 # Limits and laws of joints
@@ -255,19 +255,19 @@ def test_cold_poses_are_met_to_a_micrometre(kind, robots, reachable):
         assert problem.solve().converged
 
 
-def test_priorities_are_refused_by_name(robots):
+def test_priorities_are_refused_with_the_name_of_the_method(robots):
     goals = [PositionGoal(None, (0.3, 0.3, 0)), PositionGoal("hand", (0.1, 0.1, 0), priority=1)]
     with pytest.raises(
-        UnsupportedGoalError, match="'bfgs' cannot serve goals of different priorities"
+        UnsupportedGoalError, match="'bfgs' does not support goals of different priorities"
     ) as caught:
         solve(robots("planar"), goals, solver="bfgs")
     assert "lm" in caught.value.able
 
 
-def test_a_minimum_that_is_not_the_goal_is_named(robots):
+def test_a_minimum_at_the_limits_has_its_own_status(robots):
     far = solve(robots("planar"), PositionGoal(None, (4.0, 0, 0)), solver="bfgs")
     assert far.status is Status.UNREACHABLE and far.error.position == pytest.approx(4.0 - 1.1)
-    # Behind the stops: the solution presses against them.
+    # The goal is beyond the joint limits, so the solution is at the limits.
     shut = robots("planar").with_limits(np.array([-0.1, 0.1, 0.1]), np.array([0.1, 0.2, 0.2]))
     blocked = solve(shut, PositionGoal(None, (0, -0.9, 0)), solver="bfgs")
     assert blocked.status is Status.BLOCKED_BY_LIMITS

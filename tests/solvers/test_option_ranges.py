@@ -1,4 +1,4 @@
-"""The usual range of an option: what a slider spans."""
+"""The usual range of an option, which is the range of its slider."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_a_usual_range_holds_the_default_and_its_upper_end_is_allowed(
     make_solver(name, **{field.name: type(field.default)(max(first, field.metadata["lower"]))})
 
 
-def test_every_method_with_steps_has_something_to_slide_or_choose() -> None:
+def test_every_iterative_method_has_a_slider_or_a_choice() -> None:
     for name, solver in SOLVERS.items():
         fields = dataclasses.fields(solver)
         if len(fields) > 1:

@@ -1,4 +1,4 @@
-"""Strict priorities: a later goal never costs an earlier one anything, and gets all the rest."""
+"""Strict priorities: a later goal never worsens an earlier goal, and uses the remaining freedom."""
 
 import itertools
 
@@ -30,8 +30,8 @@ def arm():
     return load_robot("srs_arm")
 
 
-def slope_left(robot, q, frame, wanted):
-    """Return the part of the way to ``wanted`` that pose and limits allow: zero at the optimum."""
+def remaining_slope(robot, q, frame, wanted):
+    """Return the possible motion towards ``wanted`` within pose and limits: zero at the optimum."""
     jacobian = robot.jacobian(q, frame)
     way = wanted - q
     held = np.zeros(robot.nv, dtype=bool)
@@ -50,17 +50,17 @@ def slope_left(robot, q, frame, wanted):
     return float(np.linalg.norm(part))
 
 
-def test_the_pose_is_met_and_the_posture_gets_all_the_freedom_that_is_left(arm):
+def test_the_pose_is_met_and_the_posture_uses_all_remaining_freedom(arm):
     rng = np.random.default_rng(0)
     for _ in range(12):
         pose = PoseGoal.at(None, arm.forward(arm.sample(rng)))
         result = solve(arm, [pose, PostureGoal(q=arm.home, priority=1)], solver="lm")
         assert result.errors[0].position < 1e-4 and result.errors[0].angle < 1e-3
         assert not arm.outside(result.q)
-        assert slope_left(arm, result.q, None, arm.home) < 2e-3
+        assert remaining_slope(arm, result.q, None, arm.home) < 2e-3
 
 
-def test_what_cannot_be_met_first_is_as_near_as_if_it_were_alone(arm):
+def test_an_unreachable_first_priority_is_as_near_as_without_other_goals(arm):
     for k in range(4):
         far = PositionGoal(None, (2.5 * np.cos(k), 2.5 * np.sin(k), 0.5))
         alone = solve(arm, far, solver="lm")
@@ -70,7 +70,7 @@ def test_what_cannot_be_met_first_is_as_near_as_if_it_were_alone(arm):
 
 
 @pytest.mark.parametrize("far", [0.35, 5.0])
-def test_a_later_goal_that_pulls_away_costs_the_earlier_one_nothing(arm, far):
+def test_a_later_goal_does_not_worsen_an_earlier_goal(arm, far):
     elbow = "elbow"
     tool = arm.tool
     there = arm.forward(arm.home + 0.2, tool).position
@@ -83,7 +83,7 @@ def test_a_later_goal_that_pulls_away_costs_the_earlier_one_nothing(arm, far):
         mixed = solve(
             arm, [first, PositionGoal(elbow, (*away, 0.4))], solver="lm", budget=Budget(restarts=0)
         )
-        if far > 1.0:  # without priorities the far one has its way, whatever it costs the other
+        if far > 1.0:  # without priorities the distant goal dominates
             gains.append(strict.errors[1].position - mixed.errors[1].position)
             assert gains[-1] > -1e-4
         alone = solve(arm, second, solver="lm")
@@ -91,7 +91,7 @@ def test_a_later_goal_that_pulls_away_costs_the_earlier_one_nothing(arm, far):
     assert far < 1.0 or max(gains) > 1e-3
 
 
-def test_the_order_of_the_list_does_not_matter_but_that_of_the_numbers_does(arm):
+def test_the_priorities_count_and_the_order_of_the_list_does_not(arm):
     pose = arm.forward(arm.home + 0.25)
     goals = [
         PositionGoal(None, pose.position, priority=2, tolerance=FINE),
@@ -156,7 +156,7 @@ def test_a_figure_at_full_stretch_keeps_its_feet(seed):
     assert errors[3].position == pytest.approx(0.283, abs=0.002)
 
 
-def test_laws_hold_with_priorities_too(arm):
+def test_the_laws_hold_with_priorities(arm):
     rng = np.random.default_rng(4)
     q = arm.sample(rng)
     goals = [PoseGoal.at(None, arm.forward(q)), PostureGoal(q=q, priority=1)]
@@ -173,17 +173,17 @@ def test_laws_hold_with_priorities_too(arm):
     assert len(traced.trace) == traced.iterations > 0
 
 
-def test_methods_without_priorities_refuse_them_by_name(arm):
+def test_methods_without_priorities_refuse_them_with_their_name(arm):
     goals = [PositionGoal(None, (0.3, 0.3, 0.5)), PositionGoal("elbow", (0, 0, 1), priority=1)]
     able = {name for name in SOLVERS if "priorities" in SOLVERS[name].capabilities}
     assert {"auto", "lm"} <= able
     for name in sorted(set(SOLVERS) - able):
-        with pytest.raises(UnsupportedGoalError, match=f"'{name}' cannot") as caught:
+        with pytest.raises(UnsupportedGoalError, match=f"'{name}' does not support") as caught:
             solve(arm, goals, solver=name)
         assert "lm" in caught.value.able
 
 
-def test_a_problem_with_priorities_remembers_no_earlier_solve(arm):
+def test_a_problem_with_priorities_does_not_depend_on_earlier_solves(arm):
     rng = np.random.default_rng(8)
     goals = [PoseGoal.at(None, arm.forward(arm.sample(rng))), PostureGoal(q=arm.home, priority=1)]
     problem = Problem(arm, goals, solver="lm")
@@ -201,7 +201,7 @@ def test_the_trace_has_the_length_of_each_step(arm):
     assert all(step.step > 0.0 for step in traced.trace)
 
 
-def test_goals_in_reach_are_met_beside_one_that_is_not(arm):
+def test_reachable_goals_are_met_beside_an_unreachable_goal(arm):
     """The goals of the first level that are proven out of reach are left out of its search."""
     rng = np.random.default_rng(3)
     elbow = PositionGoal("elbow", arm.forward(arm.sample(rng), "elbow").position, weight=5.0)

@@ -15,7 +15,7 @@ from robot_ik.robot import load_robot
 from robot_ik.solvers.pseudoinverse import Pseudoinverse
 from tests.residual_rows import columns_of
 
-# How far from its subgoal a halved step may end, rad.
+# Largest distance of the end of a halved step from its subgoal, rad.
 NEAR = 0.1
 FREE_STEP = {"clamp": 1e6, "max_step": 1e6}
 CASES = [(r, k) for r in ("puma560", "planar", "tree") for k in ("position", "orientation", "pose")]
@@ -25,13 +25,15 @@ REDUNDANT = pytest.mark.parametrize("robot_name", ["puma560", "planar"])
 
 
 @cases
-def test_a_step_is_numpys_pseudoinverse(robot_name, kind, near_problems, linear_model, one_step):
+def test_a_step_equals_the_pseudoinverse_of_numpy(
+    robot_name, kind, near_problems, linear_model, one_step
+):
     compared = 0
     for problem, q in near_problems(robot_name, kind):
         jacobian, e = linear_model(problem, q)
         expected = np.linalg.pinv(jacobian, rcond=1e-3) @ e
         step = one_step(Pseudoinverse(cutoff=1e-3, **FREE_STEP), problem, q)
-        inside = np.abs(expected).max() < 0.4  # else limits would have their say
+        inside = np.abs(expected).max() < 0.4  # a longer step would be limited
         if inside:
             np.testing.assert_allclose(step, expected, atol=1e-8)
             compared += 1
@@ -61,7 +63,9 @@ def phi_of(aim, problem, q):
 
 @REDUNDANT
 @pytest.mark.parametrize("aim", ["rest", "limits"])
-def test_the_null_space_step(robot_name, aim, near_problems, linear_model, one_step):
+def test_the_null_space_motion_equals_the_formula(
+    robot_name, aim, near_problems, linear_model, one_step
+):
     for problem, q in near_problems(robot_name, "position"):
         robot = problem.robot
         jacobian, e = linear_model(problem, q)
@@ -72,7 +76,7 @@ def test_the_null_space_step(robot_name, aim, near_problems, linear_model, one_s
         plain = one_step(Pseudoinverse(cutoff=1e-6, **FREE_STEP), problem, q)
         step = one_step(Pseudoinverse(cutoff=1e-6, aim=aim, aim_gain=0.5, **FREE_STEP), problem, q)
         np.testing.assert_allclose(step - plain, null, atol=1e-6)
-        # It leaves the tool where it is, to first order, and goes towards the aim.
+        # It does not move the tool, to first order, and moves the joints towards the aim.
         np.testing.assert_allclose(jacobian @ (step - plain), 0.0, atol=1e-9)
         assert null @ phi > 0.0
         moved = robot.measure(q + 0.01 * (step - plain)).position - robot.measure(q).position
@@ -84,7 +88,7 @@ def test_the_null_space_step(robot_name, aim, near_problems, linear_model, one_s
 
 @pytest.mark.parametrize("aim", ["rest", "limits"])
 def test_tracking_with_an_aim_ends_nearer_to_it(aim, robots):
-    """The tool goes to and fro on a line; what is free drifts to the aim."""
+    """The tool moves to and fro on a line. The redundant joints drift to the aim."""
     robot = robots("puma560")
     start = robot.home + np.array([0.9, -0.6, 0.5, 0.8, 0.7, 1.0])
     here = robot.forward(start).position
@@ -109,7 +113,7 @@ def test_tracking_with_an_aim_ends_nearer_to_it(aim, robots):
     assert far[aim] < 0.85 * far["none"]
 
 
-def test_an_aim_works_on_balls_slides_and_turns_without_limits(near_problems):
+def test_an_aim_works_on_balls_slides_and_unlimited_hinges(near_problems):
     for aim in ("rest", "limits"):
         for problem, q in near_problems("tree", "position", distance=0.3):
             assert (
@@ -119,7 +123,7 @@ def test_an_aim_works_on_balls_slides_and_turns_without_limits(near_problems):
             )
 
 
-def test_the_way_home_of_a_ball_is_a_rotation(robots, linear_model, one_step):
+def test_the_aim_rest_of_a_ball_is_a_rotation(robots, linear_model, one_step):
     robot = robots("tree")
     q = robot.integrate(robot.home, np.array([0, 0.2, 0.4, -0.3, 0.5, 0, 0, 0]))
     problem = Problem(robot, PositionGoal(None, robot.forward(q).position + np.array([0.1, 0, 0])))
@@ -133,9 +137,9 @@ def test_the_way_home_of_a_ball_is_a_rotation(robots, linear_model, one_step):
     np.testing.assert_allclose(step - plain, null @ (0.1 * home), atol=1e-8)
 
 
-def test_the_way_home_of_a_floating_base_is_mujocos(linear_model, one_step):
+def test_the_aim_rest_of_a_floating_base_equals_that_of_mujoco(linear_model, one_step):
     robot = load_robot("humanoid")
-    hinges = slice(7, None)  # after the base; a little inside their limits, where none has its say
+    hinges = slice(7, None)  # after the base; inside their limits, which have no effect
     q = robot.integrate(robot.home, np.r_[0.2, -0.1, 0.3, 0.3, -0.2, 0.1, np.zeros(robot.nv - 6)])
     q[hinges] += 0.2 * ((robot.lower[6:] + robot.upper[6:]) / 2 - q[hinges])
     goals = [PositionGoal(f, robot.forward(q, f).position + 0.01) for f in ("left_hand", "gaze")]
@@ -155,7 +159,7 @@ def test_the_way_home_of_a_floating_base_is_mujocos(linear_model, one_step):
 # Goal halving
 
 
-def landing_of(problem, q, wanted, before, share, step):
+def distance_from_subgoal(problem, q, wanted, before, share, step):
     there = problem.robot.clip(problem.robot.integrate(q, np.asarray(step)))
     frame = problem.robot.measure(there)
     after = (problem.goals[0].target.position - frame.position) / length_scale(
@@ -164,7 +168,7 @@ def landing_of(problem, q, wanted, before, share, step):
     return np.linalg.norm(after - (before - share * wanted))
 
 
-def test_a_step_that_does_not_land_is_halved_until_it_does(robots, linear_model, one_step):
+def test_a_step_that_ends_far_from_its_subgoal_is_halved(robots, linear_model, one_step):
     robot = robots("puma560")
     rng = np.random.default_rng(8)
     halved = 0
@@ -178,15 +182,15 @@ def test_a_step_that_does_not_land_is_halved_until_it_does(robots, linear_model,
         share = step[0] / whole[0]
         np.testing.assert_allclose(step, share * whole, atol=1e-12)
         assert np.log2(share) == pytest.approx(round(np.log2(share)), abs=1e-9)
-        assert landing_of(problem, q, e, e, share, step) <= NEAR
+        assert distance_from_subgoal(problem, q, e, e, share, step) <= NEAR
         if share < 1.0:
-            assert landing_of(problem, q, e, e, 2 * share, 2 * step) > NEAR
+            assert distance_from_subgoal(problem, q, e, e, 2 * share, 2 * step) > NEAR
             halved += 1
     assert halved > 5
 
 
-def test_halving_ends_and_never_leads_up(robots):
-    """Out of reach no step lands for long: bounded halvings, and what leads up is undone."""
+def test_halving_ends_and_never_raises_the_cost(robots):
+    """No step to an unreachable goal ends at its subgoal. Steps that raise the cost are undone."""
     robot = robots("planar")
     problem = Problem(
         robot,
@@ -202,7 +206,7 @@ def test_halving_ends_and_never_leads_up(robots):
     norms = np.sqrt(2 * np.array(first))
     assert all(
         b <= a + NEAR for a, b in pairwise(norms)
-    )  # no farther up than a step may miss its subgoal
+    )  # the cost rises by no more than the allowed distance from the subgoal
 
 
 @pytest.mark.parametrize("kind", ["position", "pose"])
@@ -241,7 +245,7 @@ def test_a_joint_at_its_limit_does_not_freeze_the_others(robots, linear_model, o
     assert steps_at_limits > 5
 
 
-def test_a_cut_step_never_leads_up_on_the_linear_model(robots, linear_model, one_step):
+def test_a_clipped_step_never_raises_the_cost_of_the_linear_model(robots, linear_model, one_step):
     robot = robots("puma560")
     rng = np.random.default_rng(11)
     cut = 0

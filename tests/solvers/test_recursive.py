@@ -1,4 +1,4 @@
-"""recursive: a chain pulled by its end; it reaches the goal or changes nothing."""
+"""recursive: an attempt reaches the goal or changes no joint."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def positions(robot, q, n):
 
 
 @pytest.mark.parametrize("n", range(2, 11))
-def test_balls_reach_everything_inside(n):
+def test_balls_reach_all_targets_in_reach(n):
     robot = rik.make_chain(n, 0.4)
     rng = np.random.default_rng(n)
     for reach in [*rng.uniform(0.0, 1.0, 8), 1e-6, 1.0 - 1e-6]:
@@ -33,8 +33,8 @@ def test_balls_reach_everything_inside(n):
         assert solution.iterations == 1
 
 
-def test_only_the_bones_that_must_move_do():
-    """The last two bones can meet: the rest of the chain stays where it was."""
+def test_only_the_necessary_bones_move():
+    """The last two bones can reach the target, so the other joints keep their values."""
     robot = rik.make_chain(6)
     start = robot.sample(np.random.default_rng(1))
     before = positions(robot, start, 6)
@@ -46,7 +46,7 @@ def test_only_the_bones_that_must_move_do():
     np.testing.assert_allclose(solution.q[:16], start[:16], atol=1e-15)
 
 
-def test_two_rings_meet_on_the_circle_nearest_to_where_they_were():
+def test_two_bones_meet_at_the_nearest_point_of_their_circle():
     robot = rik.make_chain(2)
     start = robot.integrate(robot.home, [0.0, 0.3, 0.0, 0.0, 0.4, 0.0])
     solution = solve(robot, (1.0, 0, 0), start, tolerance=TIGHT)
@@ -55,7 +55,7 @@ def test_two_rings_meet_on_the_circle_nearest_to_where_they_were():
     )
 
 
-def test_a_turn_of_the_last_bone_is_enough_when_it_reaches():
+def test_only_the_last_bone_rotates_if_that_is_enough():
     robot = rik.make_chain(3)
     start = robot.sample(np.random.default_rng(9))
     target = positions(robot, start, 3)[2] + [0.0, 1.0, 0.0]
@@ -65,7 +65,7 @@ def test_a_turn_of_the_last_bone_is_enough_when_it_reaches():
 
 
 @pytest.mark.parametrize("where", ["out of reach", "too near", "hinges"])
-def test_a_failure_is_undone_to_the_bit(where):
+def test_a_failed_attempt_is_undone_to_the_bit(where):
     rng = np.random.default_rng(2)
     robots = {
         "hinges": rik.load_robot("puma560"),
@@ -91,7 +91,7 @@ def test_a_failure_is_undone_to_the_bit(where):
 
 
 def test_a_dragged_bone_stays_where_the_bones_before_it_can_follow():
-    """The published method, which drags bones anywhere, loses some of these goals."""
+    """The published method, which drags bones out of reach, does not reach some of these goals."""
     robot = rik.make_chain(5)
     rng = np.random.default_rng(20)
     for _ in range(60):

@@ -45,7 +45,9 @@ def effectors_of(problem):
 
 @pytest.mark.parametrize(("robot_name", "kind"), CASES)
 @pytest.mark.parametrize("gamma_max", [math.pi / 4, 0.02])
-def test_a_step_is_the_papers(robot_name, kind, gamma_max, near_problems, linear_model, one_step):
+def test_a_step_equals_that_of_the_paper(
+    robot_name, kind, gamma_max, near_problems, linear_model, one_step
+):
     damped = 0
     for problem, q in near_problems(robot_name, kind):
         jacobian, e = linear_model(problem, q)
@@ -58,7 +60,9 @@ def test_a_step_is_the_papers(robot_name, kind, gamma_max, near_problems, linear
 
 
 @pytest.mark.parametrize("kind", ["position", "pose"])
-def test_every_step_leads_down_on_the_linear_model(kind, near_problems, linear_model, one_step):
+def test_every_step_reduces_the_cost_of_the_linear_model(
+    kind, near_problems, linear_model, one_step
+):
     compared = 0
     for problem, q in near_problems("puma560", kind, distance=1.0, count=20):
         jacobian, e = linear_model(problem, q)
@@ -93,8 +97,8 @@ def test_a_joint_at_its_limit_does_not_freeze_the_others(robots, linear_model, o
 
 
 @pytest.mark.parametrize("where", [(1.3, 0.9, 0.0), (3.0, 0.0, 0.0)])
-def test_it_does_not_shake_on_a_target_out_of_reach(where, robots):
-    """The purpose of the method: small last steps, which the pseudoinverse does not have."""
+def test_it_does_not_oscillate_at_an_unreachable_target(where, robots):
+    """The last steps of this method are small. Those of the pseudoinverse are not."""
     robot = robots("planar")
     goal = PositionGoal(None, where)
     last = {}

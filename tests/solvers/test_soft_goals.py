@@ -1,4 +1,4 @@
-"""Soft goals: wanted, not needed. They fill the freedom that is left, and decide nothing."""
+"""Soft goals use the freedom that needed goals leave, and do not decide convergence."""
 
 import dataclasses
 import pickle
@@ -34,7 +34,7 @@ def figure():
 
 
 def whole_body(figure, ball, priorities, posture):
-    """Feet stay, balance over them, the hand at the ball, eyes on it, and the joints as at ease."""
+    """Goals for feet, balance, the hand at the ball, the gaze at the ball, and a rest posture."""
     home = figure.home
     left, right = (
         PoseGoal.at(foot, figure.forward(home, foot)) for foot in ("left_foot", "right_foot")
@@ -59,8 +59,8 @@ def ball_path(figure):
     )
 
 
-def unease(figure, q):
-    """Half the squares of the joints' ways from home, the root left out: the posture's cost."""
+def posture_cost(figure, q):
+    """Return half the sum of squares of the joints' distances from home, without the root."""
     return 0.5 * float(np.sum(figure.difference(q, figure.home)[6:] ** 2))
 
 
@@ -77,27 +77,29 @@ def long_minimisation(figure, path):
 
 
 @pytest.fixture(scope="module")
-def least_unease(figure):
-    """The long minimisation of each frame: the same for every form."""
+def least_posture_costs(figure):
+    """Results of the long minimisation of each frame, the same for every form."""
     return list(long_minimisation(figure, ball_path(figure)))
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_a_figure_tracks_with_a_soft_posture_and_all_else_is_met(figure, least_unease, form):
+def test_a_figure_tracks_with_a_soft_posture_and_meets_all_other_goals(
+    figure, least_posture_costs, form
+):
     """In each frame hand, feet, balance and gaze are met, and the posture is near its optimum."""
     priorities, posture = FORMS[form]
     path = ball_path(figure)
     problem = Problem(figure, whole_body(figure, path[0], priorities, posture | {"soft": True}))
     q = figure.home
     near = []
-    for ball, best in zip(path, least_unease, strict=True):
+    for ball, best in zip(path, least_posture_costs, strict=True):
         result = problem.solve(q, target={3: ball, 4: ball})
         q = result.q
         assert result.status is Status.CONVERGED
         error = result.error
         assert error.position <= 1e-4 and error.angle <= 1e-3
         assert not figure.outside(q)
-        near.append(unease(figure, q) <= 1.05 * unease(figure, best) + 1e-6)
+        near.append(posture_cost(figure, q) <= 1.05 * posture_cost(figure, best) + 1e-6)
     assert np.mean(near) >= 0.95
 
 
@@ -108,10 +110,10 @@ def test_a_needed_posture_in_the_same_place_is_never_met(figure):
     soft = solve(figure, whole_body(figure, ball, (0, 0, 1, 2), {"priority": 3, "soft": True}))
     assert not needed.converged
     assert soft.require() is soft
-    assert unease(figure, soft.q) <= 1.05 * unease(figure, needed.q)
+    assert posture_cost(figure, soft.q) <= 1.05 * posture_cost(figure, needed.q)
 
 
-def test_a_soft_goal_decides_nothing_and_its_error_is_shown(arm):
+def test_a_soft_goal_does_not_decide_convergence_and_has_an_error(arm):
     rng = np.random.default_rng(0)
     for _ in range(20):
         pose = PoseGoal.at(None, arm.forward(arm.sample(rng)))
@@ -121,8 +123,8 @@ def test_a_soft_goal_decides_nothing_and_its_error_is_shown(arm):
         assert result.error == result.errors[1] and result.errors[0].angle > 0.0
 
 
-def test_a_soft_goal_gets_what_freedom_is_left(arm):
-    """As near as the strict priority, which has been there longer, brings it."""
+def test_a_soft_goal_uses_the_remaining_freedom(arm):
+    """The result is as near as that of a strict priority."""
     rng = np.random.default_rng(1)
     for _ in range(12):
         pose = PoseGoal.at(None, arm.forward(arm.sample(rng)))
@@ -133,7 +135,7 @@ def test_a_soft_goal_gets_what_freedom_is_left(arm):
         assert np.sum((soft.q - away) ** 2) <= 1.02 * np.sum((strict.q - away) ** 2) + 1e-9
 
 
-def test_soft_goals_alone_are_served_and_converge(arm):
+def test_soft_goals_alone_are_minimised_and_converge(arm):
     wanted = arm.clip(arm.home + 0.3)
     result = solve(arm, PostureGoal(q=wanted, soft=True))
     assert result.converged and np.abs(result.q - wanted).max() < 1e-3
@@ -155,7 +157,7 @@ def test_several_soft_goals_have_priorities_among_themselves(arm):
     assert result.errors[1].position <= without.errors[0].position + 2e-3
 
 
-def test_a_needed_goal_out_of_reach_is_still_said_beside_a_soft_one(arm):
+def test_an_unreachable_goal_is_reported_beside_a_soft_goal(arm):
     far = [PositionGoal(None, (9.0, 0, 0)), PostureGoal(q=arm.home, soft=True)]
     assert solve(arm, far).status is Status.UNREACHABLE
 
@@ -182,7 +184,7 @@ def test_the_trace_counts_needed_goals_only(arm):
     assert result.trace[-1].cost > 0.01  # the weighted sum is of all
 
 
-def test_the_laws_hold_with_soft_goals_too(arm):
+def test_the_laws_hold_with_soft_goals(arm):
     pose = PoseGoal.at(None, arm.forward(arm.home + 0.25))
     goals = [pose, PostureGoal(q=arm.home, soft=True)]
     once, twice = (solve(arm, goals, seed=3) for _ in range(2))
@@ -197,12 +199,12 @@ def test_the_laws_hold_with_soft_goals_too(arm):
     assert pickle.loads(pickle.dumps(goals[1])).soft
 
 
-def test_methods_without_levels_refuse_soft_goals_by_name(arm):
+def test_methods_without_levels_refuse_soft_goals_with_their_name(arm):
     goals = [PositionGoal(None, (0.3, 0.3, 0.5)), PostureGoal(q=arm.home, soft=True)]
     able = {name for name in SOLVERS if "soft" in SOLVERS[name].capabilities}
     assert {"auto", "lm"} <= able
     for name in sorted(set(SOLVERS) - able):
-        with pytest.raises(UnsupportedGoalError, match=f"'{name}' cannot") as caught:
+        with pytest.raises(UnsupportedGoalError, match=f"'{name}' does not support") as caught:
             solve(arm, goals, solver=name)
         assert "lm" in caught.value.able
 

@@ -1,4 +1,4 @@
-"""triangulation: exact on balls in one pass; the improved version spares the root; hinges."""
+"""triangulation: exact on balls in one pass; the improved version moves the root less; hinges."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def draws(robot, n, length, seed):
 
 @both
 @pytest.mark.parametrize("n", range(2, 11))
-def test_balls_reach_everything_inside_in_one_pass(n, improved):
+def test_balls_reach_all_targets_in_reach_in_one_pass(n, improved):
     robot = rik.make_chain(n, 0.7)
     problem = problem_of(robot, tolerance=TIGHT, improved=improved)
     for target, start in draws(robot, n, 0.7, n):
@@ -38,7 +38,7 @@ def test_balls_reach_everything_inside_in_one_pass(n, improved):
 
 @both
 @pytest.mark.parametrize("n", range(1, 11))
-def test_balls_stretch_straight_at_what_is_out_of_reach(n, improved):
+def test_balls_stretch_towards_an_unreachable_target(n, improved):
     robot = rik.make_chain(n)
     problem = problem_of(robot, tolerance=TIGHT, improved=improved)
     for target, start in draws(robot, n, 1.0, n):
@@ -62,7 +62,7 @@ def test_the_textbook_triangle():
     )
 
 
-def test_the_improved_version_turns_less_near_the_root():
+def test_the_improved_version_rotates_less_near_the_root():
     robot = rik.make_chain(8)
     rng = np.random.default_rng(4)
     problems = {improved: problem_of(robot, improved=improved) for improved in (False, True)}
@@ -83,7 +83,7 @@ def test_the_improved_version_turns_less_near_the_root():
 
 
 @both
-def test_on_hinges_a_error_is_honest(improved):
+def test_on_hinges_the_reported_error_is_true(improved):
     robot = rik.load_robot("puma560")
     rng = np.random.default_rng(6)
     budget = Budget(iterations=100, restarts=3)

@@ -1,7 +1,7 @@
-"""Other people's servo clients, unmodified, on the virtual bus: `make strangers`.
+"""Third-party servo clients, unmodified, on the virtual bus: `make strangers`.
 
 Each runs in its own process with its own interpreter (.venv-strangers), against a port served by
-``robot-ik sim-bus``.  A client that could not be installed is skipped, with pip's reason.
+``robot-ik sim-bus``. A client that could not be installed is skipped with the message of pip.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ Serve = Callable[..., AbstractContextManager[Path]]
 
 @pytest.fixture
 def serve(tmp_path: Path) -> Serve:
-    """``with serve(models, baud) as link``: a served bus with ids 1, 2, … of these models."""
+    """``with serve(models, baud) as link`` serves a bus with servos of these models, ids 1, 2, …"""
 
     @contextmanager
     def serving(
@@ -84,7 +84,7 @@ def serve(tmp_path: Path) -> Serve:
 
 
 def run(client: str, *arguments: object) -> str:
-    """Runs a client; its package may be missing, its checks may not fail."""
+    """Run a client and return its output. Skip the test if its package is missing."""
     missing = (PYTHON.parents[1] / "missing.txt").read_text()
     package = {
         "sdk": "dynamixel-sdk",
@@ -130,7 +130,7 @@ def test_lerobot_sets_a_fresh_motor_up(serve: Serve) -> None:
 
 
 def test_lerobot_calibrates_and_drives(serve: Serve) -> None:
-    """Turn the joints as a hand does, again and again, while the ranges are recorded."""
+    """A hand turns the joints repeatedly while the ranges are recorded."""
     turns = []
     for k in range(200):
         way = (60.0, -120.0, 60.0)[k % 3]
@@ -141,7 +141,7 @@ def test_lerobot_calibrates_and_drives(serve: Serve) -> None:
 
 
 def hand_turns() -> str:
-    """Return a file of faults: a hand turns every joint there and back for 20 s."""
+    """Return a file of faults: a hand turns every joint back and forth for 20 s."""
     ways = (60.0, -120.0, 60.0)
     turns = []
     for k in range(200):

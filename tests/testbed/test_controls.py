@@ -208,7 +208,7 @@ def test_a_file_comes_to_the_browser(
         assert list(KeyPoses.parse(text, robot, name).poses) == ["pose 1", "pose 2"]
     elif name == "motion.csv":
         rows = list(csv.reader(io.StringIO(text)))
-        assert len(rows) == 1 + 61 and rows[0][1] == "joint1"
+        assert len(rows) == 1 + 61 and rows[0][1] == "commanded.joint1"
         assert float(rows[-1][1]) == pytest.approx(0.3)
     else:
         assert text.count("2 key poses, 1.0 s") == 1 and text.rstrip().endswith("</html>")

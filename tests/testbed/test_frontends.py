@@ -102,12 +102,12 @@ def ball_pixels(image: Any) -> int:
 def test_a_film_is_read_back_and_shows_the_robot_moving(tmp_path: Path) -> None:
     av = pytest.importorskip("av", reason="needs the extra video")
     out = tmp_path / "bed.mp4"
-    numbers = tmp_path / "bed.csv"
+    record = tmp_path / "bed.csv"
     seen: list[float] = []
     view = film(
         SCRIPT,
         out,
-        numbers=numbers,
+        record=record,
         size=(320, 240),
         rate_hz=30.0,
         progress=lambda phase, share: seen.append(share),
@@ -119,12 +119,13 @@ def test_a_film_is_read_back_and_shows_the_robot_moving(tmp_path: Path) -> None:
     assert np.abs(frames[-1].astype(int) - frames[3].astype(int)).max() > 60
     assert ball_pixels(frames[-1]) > 20, "no ball"
     assert near(frames[-1], INSTANCE_COLOURS[1], 60) > 20, "no second instance"
+    with record.open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 1 + 2 * 19
+    assert {row["method"] for row in rows[4:]} == {"dls", "ccd"}
+    assert float(rows[-1]["error_m"]) == view.instances[1].error
     ground = int((frames[-1].min(axis=-1) > 190).sum())
     assert 0.3 < ground / (240 * 320) < 0.95, "no robot"
-    with numbers.open() as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == 1 + 2 * 19 and {row["method"] for row in rows[4:]} == {"dls", "ccd"}
-    assert float(rows[-1]["error_m"]) == view.instances[1].error
 
 
 def test_a_film_is_made_by_another_process(tmp_path: Path) -> None:

@@ -278,8 +278,8 @@ def test_words_agree_with_numbers() -> None:
     missed = dataclasses.replace(one, met=False, status="blocked by limits")
     assert missed.words == "blocked by limits"
     assert dataclasses.replace(missed, stuck=True).words.endswith("press Reset, or choose a branch")
-    refused = dataclasses.replace(one, able=False, status="it serves pose goals only")
-    assert refused.words == "it serves pose goals only"
+    refused = dataclasses.replace(one, able=False, status="it supports pose goals only")
+    assert refused.words == "it supports pose goals only"
 
 
 def test_a_stuck_method_says_what_to_do(session: Session) -> None:

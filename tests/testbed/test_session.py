@@ -13,6 +13,7 @@ import pytest
 
 from robot_ik import load_robot
 from robot_ik.errors import ConfigError
+from robot_ik.ports import VirtualClock
 from robot_ik.testbed.commands import (
     COMMANDS,
     GOAL_KINDS,
@@ -570,26 +571,17 @@ def test_a_command_to_a_missing_arm_is_reported(session: Session) -> None:
 def test_the_loop_draws_every_other_tick_and_does_not_hurry_after_a_stall(session: Session) -> None:
     drawn: list[tuple[float, int]] = []
 
-    class Clock(threading.Event):
-        """A clock that advances only in ``wait``. The test stalls it once."""
-
-        now = 0.0
-
-        def wait(self, timeout: float | None = None) -> bool:
-            assert timeout is not None and timeout > 0.0
-            self.now += timeout
-            return False
-
-    clock = Clock()
+    clock = VirtualClock()
+    stop = threading.Event()
 
     def draw(view: View) -> None:
-        drawn.append((clock.now, view.tick))
+        drawn.append((clock.now(), view.tick))
         if len(drawn) == 3:
-            clock.now += 9.0
+            clock.sleep_until(clock.now() + 9.0)
         if len(drawn) == 6:
-            clock.set()
+            stop.set()
 
-    run(session, draw, clock, now=lambda: clock.now)
+    run(session, draw, stop, clock=clock)
     assert [tick for _, tick in drawn] == [1, 3, 5, 7, 9, 11]
     times = np.array([time for time, _ in drawn])
     assert np.allclose(np.diff(times)[[0, 1, 3, 4]], 1.0 / 30.0) and times[3] - times[2] < 9.1

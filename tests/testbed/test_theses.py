@@ -346,7 +346,7 @@ def test_every_kind_of_goal_is_on_the_page(kind: str, window: Window, bench: Bed
     window.open_tab("Goals")
     window.page.get_by_role("combobox", name="what the ball asks").select_option(kind)
     bench.until(lambda view: view.kind == kind and not view.busy, kind)
-    bench.until(lambda view: view.instances[0].met, "the method does not serve it")
+    bench.until(lambda view: view.instances[0].met, "the method does not support it")
 
 
 def test_stiffness_is_set_by_a_slider(window: Window, bench: Bed) -> None:

@@ -68,7 +68,7 @@ def test_the_angle_is_printed_before_the_motion_and_the_result_is_judged_against
 
 def test_a_larger_angle_than_allowed_moves_nothing(tilt):
     tilt(TILT)
-    report = Reach(robot="so101", bus="sim", max_angle=1.0).run(RecordedTerminal())
+    report = Reach(robot="so101", bus="sim", max_angle_deg=1.0).run(RecordedTerminal())
     assert not report.ok
     assert isinstance(report.error, NotConvergedError)
     assert report.execution is None
@@ -77,11 +77,13 @@ def test_a_larger_angle_than_allowed_moves_nothing(tilt):
 
 def test_the_arm_meets_the_marker_after_the_turn_that_the_report_names(tilt):
     tilt(TILT)
-    prediction = Reach(robot="so101", bus="sim", max_angle=180.0).run(RecordedTerminal()).prediction
+    prediction = (
+        Reach(robot="so101", bus="sim", max_angle_deg=180.0).run(RecordedTerminal()).prediction
+    )
     turned = Pose((0.0, 0.0, 0.0), rotation_exp(TILT)).compose(
         Pose((0.0, 0.0, 0.0), rotation_exp(prediction.turn))
     )
     tilt(np.asarray(turned.log()[3:]))
-    report = Reach(robot="so101", bus="sim", max_angle=1.0).run(RecordedTerminal())
+    report = Reach(robot="so101", bus="sim", max_angle_deg=1.0).run(RecordedTerminal())
     assert report.ok, report.verdict
     assert report.prediction.is_met

@@ -46,7 +46,7 @@ _LOOP = 2000
 """Calls in a compiled loop."""
 
 _ROUNDS = 15
-"""Loops, of which the fastest counts."""
+"""Number of loops, of which the fastest counts."""
 
 _PROBLEMS = 20
 """Problems of a measurement of growth."""
@@ -154,7 +154,7 @@ def pose_problem(solver: Solver, robot: Robot, frame: str, **options: Any) -> Pr
 
 
 def growth(solver: Solver, figure: Robot, seed: int = 0) -> Iterator[Growth]:
-    """Yield the time of a step on chains of more and more joints, and for more and more goals."""
+    """Yield the time of a step on chains with increasing numbers of joints, and of goals."""
     for n in JOINTS:
         robot = hinge_chain(n)
         try:
@@ -175,7 +175,7 @@ def _growth(
     size: int,
     seed: int,
 ) -> Iterator[Growth]:
-    """Yield the time of a step, or nothing if the method does not serve the goals."""
+    """Yield the time of a step, or nothing if the method does not support the goals."""
     rng = np.random.default_rng([seed, size])
     # No solution is within this tolerance, so every solve takes all its steps.
     unattainable = Tolerance(1e-300, 1e-300)

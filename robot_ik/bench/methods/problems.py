@@ -1,4 +1,4 @@
-"""Seeded problem sets: poses of a robot's tool, each made from joint angles that reach it.
+"""Seeded problem sets: poses of a robot's tool, each computed from joint angles that reach it.
 
 The same robot, count and seed give the same numbers. ``cold`` and ``warm`` follow the well-known
 comparisons of libraries: uniform joint samples from home, and a smooth path in small steps.
@@ -20,7 +20,7 @@ SLACK = 1e-9
 """Excess over a limit or a tolerance that is rounding (rad, m, or share of the tolerance)."""
 
 WARM_METRES = 0.005
-"""Largest way of the tool between two warm poses, m: the speed of a slow hand at 100 Hz."""
+"""Largest distance of the tool between two warm poses, m: 0.5 m/s at 100 Hz."""
 
 WARM_RADIANS = math.radians(0.5)
 """Largest rotation of the tool between two warm poses, rad."""
@@ -60,10 +60,11 @@ class ProblemSet:
     Attributes:
         name: Kind of the problems.
         targets: (n, 4, 4) poses in the world.
-        witnesses: (n, nq) joint angles inside the limits that reach them. (0, nq) if none can.
+        witnesses: (n, nq) joint angles inside the limits that reach the targets. (0, nq) if the
+            targets are unreachable.
         first: (nq,) start of the first solve.
         tracking: Whether each solve starts at the solution before. Otherwise it is ``first``.
-        reason: Why there are no problems. Empty if there are some.
+        reason: Reason for an empty set. Empty if the set has problems.
     """
 
     name: str
@@ -89,7 +90,7 @@ def make_set(name: str, robot: Robot, count: int, seed: int = 0) -> ProblemSet:
     Returns:
         The problems. The set is empty, with a reason, if the robot cannot have such problems.
     """
-    # Every kind has its own stream, so that a further set changes no other.
+    # Each kind has its own random stream, so that a new kind does not change the others.
     rng = np.random.default_rng([seed, *name.encode()])
     return SETS[name](robot, count, rng)
 
@@ -159,7 +160,7 @@ def unreachable(robot: Robot, count: int, rng: np.random.Generator) -> ProblemSe
             pose[:3, 3] = centre + direction * radius * rng.uniform(*BEYOND)
             targets.append(pose)
     reason = (
-        "" if targets else "nothing is out of its reach: the base floats, or a slide has no end"
+        "" if targets else "its reach is not bounded: the base floats, or a slide has no limits"
     )
     return ProblemSet(
         "unreachable",

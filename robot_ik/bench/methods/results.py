@@ -77,7 +77,7 @@ class Cell(_Data):
         set: Kind of the problems.
         goal: ``pose`` or ``position``: the goal of the tool.
         asked: Problems of the set. The lists are shorter if time ran out or it was interrupted.
-        skipped: Why nothing was measured. Empty if something was.
+        skipped: Reason for a missing measurement. Empty if the cell was measured.
         microseconds: Times of whole Python calls: 4×4 matrix in, joint array out.
         success: Within tolerance by MuJoCo's forward pass, and inside the joint limits.
         position_error: Position error by MuJoCo, m.
@@ -161,7 +161,7 @@ class Growth(_Data):
 
     Attributes:
         solver: The method.
-        across: What grows: joints or goals.
+        across: The varied quantity: joints or goals.
         size: Number of joints or goals.
         step_us: Time of a step, µs.
     """
@@ -197,7 +197,7 @@ class Results(_Data):
 
     Attributes:
         schema_version: Version of the file. It is raised when a field changes its meaning.
-        complete: Whether the run came to its end.
+        complete: Whether the run was completed.
         machine: The machine.
         settings: The settings.
         cells: Solvers on problem sets.
@@ -219,7 +219,7 @@ class Results(_Data):
 
 
 def this_machine() -> Machine:
-    """Return the machine with its present speed."""
+    """Return the machine with its current speed."""
     packages = (DISTRIBUTION, "mujoco", "numpy", "numba")
     return Machine(
         system=f"{platform.system()} {platform.machine()}",

@@ -1,4 +1,4 @@
-"""Run solvers on problem sets. Only the call is timed, and MuJoCo judges the solution."""
+"""Run solvers on problem sets. Only the call is timed, and MuJoCo measures the success."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ CURVE_STEPS = 200
 """Steps of a convergence curve."""
 
 LEAST_PROBLEMS = 10
-"""Least number of problems of a set, also beyond its time."""
+"""Smallest number of problems of a set, even if its time is over."""
 
 BATCH = 500
 """Poses of a batch for each problem of the other sets."""
@@ -55,7 +55,7 @@ class Bench:
         robot: The robot.
         problems: The problems.
         cell: Receives the results.
-        problem: The prepared problem. None if the method cannot serve the set.
+        problem: The prepared problem. None if the method does not support the set.
     """
 
     solver: Solver
@@ -122,8 +122,8 @@ class Bench:
 def prepare(solver: Solver, robot: Robot, problems: ProblemSet, settings: Settings) -> Bench:
     """Load the kernels and fill the caches before the measurement.
 
-    A method that serves no poses gets positions. If it cannot serve the robot, the cell has the
-    reason.
+    A method that supports no poses gets positions. If it does not support the robot, the cell has
+    the reason.
     """
     cell = Cell(solver=solver.name, robot=robot.name, set=problems.name, asked=len(problems))
     bench = Bench(solver, robot, problems, cell)
@@ -146,7 +146,7 @@ def prepare(solver: Solver, robot: Robot, problems: ProblemSet, settings: Settin
 
 
 def curve(bench: Bench, settings: Settings) -> Curve | None:
-    """Return how the error falls on the first problems. None for a method without steps."""
+    """Return the error by step on the first problems. None for a method without steps."""
     if bench.problem is None:
         return None
     tolerance = Tolerance(settings.position_tolerance, settings.angle_tolerance)
@@ -196,7 +196,7 @@ class Campaign:
     settings: Settings
 
     def prepare(self, progress: Progress) -> list[Bench]:
-        """Make the problem sets and load the kernels. Nothing is measured."""
+        """Create the problem sets and load the kernels. Nothing is measured."""
         pairs = [(name, robot) for name in self.sets if name not in EXTRA for robot in self.robots]
         benches: list[Bench] = []
         for k, (name, robot) in enumerate(pairs):

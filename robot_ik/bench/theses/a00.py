@@ -21,7 +21,7 @@ MUST_PASS = ("lm", "dls", "bfgs", "auto")
 
 @dataclass(eq=False)
 class A00Report:
-    """Results so far. They are filled in while the job runs, so an interruption loses nothing.
+    """Results so far. They are written while the job runs, so an interruption loses no results.
 
     Attributes:
         numbers: Numbers of the tests.
@@ -43,7 +43,7 @@ class A00Report:
 
     @property
     def failures(self) -> list[tuple[str, int]]:
-        """(solver, test) that must pass and did not. A refusal is a failure."""
+        """Pairs (solver, test) that must pass and did not. A refusal is a failure."""
         return [
             key for key, track in self.tracks.items() if key[0] in MUST_PASS and not track.passed
         ]
@@ -54,7 +54,7 @@ class A00Report:
         return self.complete and not self.failures
 
     def lost_at(self, solver: str, number: int) -> str:
-        """Return where a method first lost the goal, such as ``"20.1°"``. Empty if it never did."""
+        """Return the place at which a method first lost the goal: ``"20.1°"``. Empty if never."""
         lost = self.tracks[solver, number].lost
         if lost is None:
             return ""

@@ -66,7 +66,7 @@ VARIANTS = {"same": METHODS, "degrees": METHODS[1:], "best": BEST_METHODS}
 
 COLUMNS = {
     "S12": "S12, 2012",
-    "same": "his parameters",
+    "same": "its parameters",
     "degrees": "α in degrees",
     "best": "our parameters",
 }
@@ -79,12 +79,12 @@ _DPI = 110
 """Resolution of the picture."""
 
 _LEAST_BAR = 0.7
-"""Per cent. A bar of zero height would look like a missing one."""
+"""Per cent. Smallest height of a bar. A bar of zero height would look like a missing bar."""
 
 
 @dataclass(eq=False)
 class S12Report:
-    """Results so far. They are filled in while the job runs.
+    """Results so far. They are written while the job runs.
 
     Attributes:
         frames: Frames of a case.
@@ -100,7 +100,7 @@ class S12Report:
 
     @property
     def failures(self) -> list[tuple[str, int]]:
-        """(solver, case) that must reach every target and did not."""
+        """Pairs (solver, case) that must reach every target and did not."""
         return [
             (name, case)
             for (variant, name, case), track in self.tracks.items()
@@ -242,7 +242,7 @@ def _draw(axes: Any, report: S12Report, case: ArmCase) -> None:
             cell = cells.get((kind, name, case.number))
             if cell is None:
                 continue
-            # A single bar stands in the middle.
+            # A single bar is in the middle.
             positions.append(k + 0.27 * (index - 1) if name in THESIS_CELLS else k)
             solved.append(100.0 * cell["solved"])
             times.append(cell["milliseconds"])

@@ -1,4 +1,4 @@
-"""Goals one after the other, each solved from the last solution: the loop of both experiments."""
+"""The loop of both experiments: goals in sequence, each solved from the last solution."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class Track:
     Attributes:
         frames: Number of goals.
         solved: Number of goals that were met, by MuJoCo's forward pass.
-        lost: The first frame that was not met. None if all were.
+        lost: The first frame that was not met. None if all were met.
         milliseconds: Mean time of a solve.
         iterations: Mean iterations of a solve.
         restarts: Restarts of all solves.
-        refused: Whether the method does not serve this goal or robot. All numbers are then zero.
+        refused: Whether the method does not support this goal or robot. All numbers are then zero.
     """
 
     frames: int

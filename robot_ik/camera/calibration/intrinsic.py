@@ -52,7 +52,14 @@ _BLUR_PIXELS = 2.0
 _MIN_GAIN = 1.03
 # Three coefficients that lower the error of the median view by this factor describe the lens.
 _CLEAR_GAIN = 1.5
+# Largest number of iterations of OpenCV's bundle adjustment. OpenCV 4 stops after 30 by default,
+# where the fit of a lens of 94 degrees has not converged. 200 were enough for 60 sets of views of
+# each of three lenses in both versions.
+_ITERATIONS = 300
+# Relative change at which the bundle adjustment stops: as by default, the rounding of a double.
+_SMALLEST_CHANGE = float(np.finfo(float).eps)
 _MODELS = {5: "plumb_bob", 8: "rational_polynomial"}
+_CRITERIA = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, _ITERATIONS, _SMALLEST_CHANGE)
 # OpenCV accepts None for a missing guess, but its type stubs do not.
 _NO_GUESS: Any = None
 
@@ -265,7 +272,21 @@ def _fit(
     coefficients: int,
     start: Array | None = None,
 ) -> _Fit:
-    """Run OpenCV's calibration, from ``start`` (4 + coefficients,) if it is given."""
+    """Run OpenCV's calibration.
+
+    Args:
+        found: The pattern in each view.
+        size: (width, height) of the pictures, px.
+        coefficients: 5 or 8.
+        start: Start of the fit: fx, fy, cx, cy, then the coefficients. By default 8 coefficients
+            start from the fit of 5: from OpenCV's start, a camera without distortion, the fit of a
+            wide lens needs several times the iterations.
+
+    Raises:
+        CalibrationError: No camera fits the views.
+    """
+    if start is None and coefficients == 8:
+        start = np.concatenate([_fit(found, size, 5).numbers, np.zeros(3)])
     flags = cv2.CALIB_RATIONAL_MODEL if coefficients == 8 else 0
     matrix = _NO_GUESS
     lens = _NO_GUESS
@@ -281,6 +302,7 @@ def _fit(
             matrix,
             lens,
             flags=flags,
+            criteria=_CRITERIA,
         )
     except cv2.error as error:
         raise CalibrationError(

@@ -3,8 +3,8 @@
 Facts of the format (Meredith & Maddock, Motion Capture File Formats Explained, Sheffield 2001):
 
 * Offsets are bone vectors in the axes of the parent joint.
-* Each joint lists its channels in an order of its own. Its rotation is their product in that order.
-* Angles are in degrees. Lengths have any unit. By custom y points up.
+* Each joint lists its channels in its own order. Its rotation is their product in that order.
+* Angles are in degrees. Lengths have any unit. By convention y points up.
 * An End Site has no channels.
 * The frame time is rounded.
 
@@ -38,7 +38,7 @@ from robot_ik.robot import Robot
 
 CHANNELS = ("Xposition", "Yposition", "Zposition", "Xrotation", "Yrotation", "Zrotation")
 POSITION = CHANNELS[:3]
-# Largest relative difference between a rate and the whole number that it stands for: a frame time
+# Largest relative difference between a rate and the integer that it stands for: a frame time
 # of 0.00833 s means 120 Hz.
 _RATE_ROUNDING = 2e-3
 # The last line before the numbers.
@@ -209,7 +209,7 @@ class _Reader:
         self.file = file
         time = _FRAME_TIME.search(text)
         end = time.end() if time else _HEAD_SIZE
-        self.rest = text[end:]
+        self.numbers_text = text[end:]
         head = text[:end].splitlines()
         self.tokens = [(token, k) for k, line in enumerate(head, 1) for token in line.split()]
         self.next = 0
@@ -275,13 +275,13 @@ class _Reader:
         They are parsed in one call, because a motion may have millions of numbers.
         """
         try:
-            values = np.array(self.rest.split(), dtype=float)
+            values = np.array(self.numbers_text.split(), dtype=float)
         except ValueError:
             values = np.array([np.nan])
         if np.isfinite(values).all():
             return values
         first = self.tokens[-1][1]
-        for k, line in enumerate(self.rest.splitlines(), first):
+        for k, line in enumerate(self.numbers_text.splitlines(), first):
             self.tokens = [(token, k) for token in line.split()]
             self.next = 0
             while self.next < len(self.tokens):
@@ -623,8 +623,9 @@ def _hinge_angles(node: _Node, rotations: Array) -> Array:
         for k, axis in enumerate(node.axes):
             columns.append(product @ axis)
             product = product @ _rotations_about(axis, angles[:, k])
-        rest = rotations @ product.transpose(0, 2, 1)
-        error = np.array([rotation_log(matrix_to_quat(matrix)) for matrix in rest]).reshape(-1, 3)
+        remaining = rotations @ product.transpose(0, 2, 1)
+        logs = [rotation_log(matrix_to_quat(matrix)) for matrix in remaining]
+        error = np.array(logs).reshape(-1, 3)
         if np.abs(error).max(initial=0.0) < 1e-15:
             break
         jacobian = np.stack(columns, axis=2)

@@ -1,11 +1,11 @@
 """``Drag``: drag a body of a robot while other bodies stay pinned.
 
-TrueSpace and Jack let the user grab any link of a figure, and the rest follows. In Aho (2000) the
-support may change during an animation. Pins are hard goals for the whole poses that the frames had
-when they were pinned. The dragged frame is a soft goal, which goes as far as pins and limits allow.
-The remaining freedom keeps the posture. Frames may be pinned, released and dragged at any time
-without a jump. Each step keeps the speed limits of the joints, so the figure follows a fast hand
-with a delay.
+In TrueSpace and Jack the user grabs any link of a figure, and the other links follow. In Aho (2000)
+the support may change during an animation. Pins are hard goals for the whole poses that the frames
+had when they were pinned. The dragged frame is a soft goal, which goes as far as pins and limits
+allow. The remaining freedom keeps the posture. Frames may be pinned, released and dragged at any
+time without a jump. Each step keeps the speed limits of the joints, so the figure follows a fast
+hand with a delay.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from robot_ik.robot import Robot
 # The start of a solve is one tick from its solution, so restarts are not needed.
 _BUDGET = Budget(iterations=20, restarts=0)
 # m. Largest distance of the target from the frame: a target out of reach does not pull harder.
-_LEASH = 0.06
+_MAX_PULL = 0.06
 # MuJoCo types of the joints that do not move their own anchor.
 _ROTATIONAL = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_BALL))
 # Halvings of a step that is too fast, before the robot rests for a tick.
@@ -198,7 +198,7 @@ class Drag:
                 wanted = wanted - self.robot.forward(self.q, frame).rotation @ lever
             self._point = self.robot.forward(self.q, self.dragged).position
             displacement = wanted - self._point
-            share = min(1.0, _LEASH / max(float(np.linalg.norm(displacement)), 1e-12))
+            share = min(1.0, _MAX_PULL / max(float(np.linalg.norm(displacement)), 1e-12))
             wanted = self._point + share * displacement
         return np.array(self._towards(wanted, self._mass))
 

@@ -63,12 +63,12 @@ def mirrored(robot: Robot, q: ArrayLike) -> Array:
     for k, joint in enumerate(robot.joints):
         kind = int(robot.tree.kind[k])
         to = int(robot.tree.qadr[k])
-        fellow = other_side(joint)
-        if fellow not in robot.joints:
+        counterpart = other_side(joint)
+        if counterpart not in robot.joints:
             raise InvalidGoalError(
-                f"joint {joint!r} of {robot.name!r} has no counterpart {fellow!r}"
+                f"joint {joint!r} of {robot.name!r} has no counterpart {counterpart!r}"
             )
-        other = robot.joints.index(fellow)
+        other = robot.joints.index(counterpart)
         source = int(robot.tree.qadr[other])
         if kind in (BALL, FREE):
             shift = 3 if kind == FREE else 0
@@ -80,7 +80,7 @@ def mirrored(robot: Robot, q: ArrayLike) -> Array:
         along = float(axes[0] @ (axes[1] * (flip if kind == HINGE else -flip)))
         if abs(abs(along) - 1.0) > SAME_AXIS:
             raise InvalidGoalError(
-                f"joints {joint!r} and {fellow!r} of {robot.name!r} are not mirror images"
+                f"joints {joint!r} and {counterpart!r} of {robot.name!r} are not mirror images"
             )
         out[:, to] = np.sign(along) * rows[:, source]
     return np.asarray(out[0] if np.ndim(q) == 1 else out)

@@ -208,20 +208,22 @@ def _lengths(positions: Mapping[str, Array]) -> Array:
     return np.array([legs, arms, trunk, girdle])
 
 
-def _ratios(ours: Mapping[str, Array], theirs: Mapping[str, Array]) -> list[float]:
+def _ratios(
+    figure_positions: Mapping[str, Array], file_positions: Mapping[str, Array]
+) -> list[float]:
     """Return the metres of the figure for a unit of the file, by leg, arm, trunk and girdle.
 
     Raises:
         TrajectoryError: A part has no length in the file.
     """
-    lengths = _lengths(theirs)
+    lengths = _lengths(file_positions)
     for length, part in zip(lengths, ("legs", "arms", "trunk", "girdle"), strict=True):
         if not length > 1e-9:
             raise TrajectoryError(
                 f"the {part} of the file's rest pose have no length",
                 hint="use a joint for one role only in the map of joints",
             )
-    return [float(ratio) for ratio in _lengths(ours) / lengths]
+    return [float(ratio) for ratio in _lengths(figure_positions) / lengths]
 
 
 def _alignment(rest: Mapping[str, Array], up: str) -> Array:
@@ -237,7 +239,7 @@ def _alignment(rest: Mapping[str, Array], up: str) -> Array:
 
 
 def _targets(
-    bvh: Bvh, joints: Mapping[str, int], ours: _Measures, rest: Bvh, up: str
+    bvh: Bvh, joints: Mapping[str, int], measures: _Measures, rest: Bvh, up: str
 ) -> tuple[dict[str, Any], NDArray[np.bool_], float]:
     """Return the path of each role, when the feet rest (n, 2), and the scale of the legs.
 
@@ -252,9 +254,9 @@ def _targets(
     deltas = {
         role: axes @ rotations[:, j] @ rest_rotations[0, j].T @ axes.T for role, j in joints.items()
     }
-    legs, arms, trunk, girdle = _ratios(ours.positions, upright)
+    legs, arms, trunk, girdle = _ratios(measures.positions, upright)
     lowest = np.minimum(positions["left_ankle"][:, 2], positions["right_ankle"][:, 2])
-    floor = np.array([0.0, 0.0, np.quantile(lowest, _FLOOR_SHARE) - ours.ankle / legs])
+    floor = np.array([0.0, 0.0, np.quantile(lowest, _FLOOR_SHARE) - measures.ankle / legs])
     hips = _middle(positions, "hip")
     chest = _middle(positions, "shoulder")
     pelvis = legs * (hips - floor)
@@ -268,12 +270,12 @@ def _targets(
         scaled_shoulder = pelvis + trunk * (chest - hips) + girdle * (shoulder - chest)
         from_shoulder = scaled_shoulder - arms * shoulder
         paths[f"{side}_elbow"] = from_shoulder + arms * positions[f"{side}_elbow"]
-        palm = float(np.linalg.norm(ours.offsets[f"{side}_wrist"]))
+        palm = float(np.linalg.norm(measures.offsets[f"{side}_wrist"]))
         along = _hand_direction(bvh, joints, side, moved, rotations) @ axes.T
         paths[f"{side}_wrist"] = from_shoulder + arms * positions[f"{side}_wrist"] + palm * along
         ankle = legs * (positions[f"{side}_ankle"] - floor)
-        rests.append(_rests(ankle, ours.ankle, bvh.rate))
-        path = _foot_path(ankle, deltas[f"{side}_ankle"], ours, side, rests[-1], bvh.rate)
+        rests.append(_rests(ankle, measures.ankle, bvh.rate))
+        path = _foot_path(ankle, deltas[f"{side}_ankle"], measures, side, rests[-1], bvh.rate)
         paths[f"{side}_ankle"] = path
     return paths, np.stack(rests, axis=1), legs
 
@@ -313,7 +315,7 @@ def _runs(marks: NDArray[np.bool_]) -> list[tuple[int, int]]:
 def _foot_path(
     ankle: Array,
     rotations: Array,
-    ours: _Measures,
+    measures: _Measures,
     side: str,
     rests: NDArray[np.bool_],
     rate: float,
@@ -323,8 +325,8 @@ def _foot_path(
     A resting sole has one pose, flat on the floor. The transition to and from that pose is smooth.
     No point of the sole goes below the floor.
     """
-    positions = ankle + rotations @ ours.offsets[f"{side}_ankle"]
-    sole = positions[:, None, :] + ours.soles[side] @ rotations.transpose(0, 2, 1)
+    positions = ankle + rotations @ measures.offsets[f"{side}_ankle"]
+    sole = positions[:, None, :] + measures.soles[side] @ rotations.transpose(0, 2, 1)
     lowest = sole[..., 2].min(axis=1)
     positions[:, 2] -= np.minimum(lowest, 0.0)
     path = list(map(Pose.from_rotation, rotations, positions))
@@ -379,8 +381,8 @@ def retarget(
     rest = bvh.rest() if rest_frame is None else replace(bvh, values=bvh.values[[rest_frame]])
     every = 1 if rate is None else max(1, int(bvh.rate / rate + 1e-6))
     bvh = replace(bvh, frame_time=every / bvh.rate, values=bvh.values[::every])
-    ours = _Measures(robot, bodies)
-    paths, rests, scale = _targets(bvh, indices, ours, rest, up)
+    measures = _Measures(robot, bodies)
+    paths, rests, scale = _targets(bvh, indices, measures, rest, up)
     rows, error = _solve_frames(robot, bodies, paths)
     motion = Keyframes(robot, np.arange(len(rows)) / bvh.rate, rows)
     return Retargeted(motion, error, rests, scale)

@@ -31,11 +31,13 @@ class Branch:
     """One solution of a goal.
 
     Attributes:
-        name: The choice made at each fork, such as ``shoulder+ elbow- wrist+``.
-        q: (nq,) joint angles. Multiples of 2π bring each into its limits, near the start.
+        name: The solution taken at each choice, such as ``shoulder+ elbow- wrist+``.
+        q: (nq,) joint angles, rad. Each is shifted by a multiple of 2π into its limits, near the
+            start.
         inside: Whether all joints are inside their limits.
-        angle: Radians between its orientation and the target. 0 except for arms with five joints.
-        angle_bound: No configuration of this branch has a smaller angle.
+        angle: Angle between its orientation and the target, rad. 0 except for arms with five
+            joints.
+        angle_bound: Lower bound of the angle of all configurations of this branch, rad.
         clearance: The nearest pair of parts, by MuJoCo; None without a condition on collisions.
         free: Whether the clearance is at least the margin; True without a condition on collisions.
     """
@@ -56,7 +58,7 @@ class Branch:
 def listed_branches(
     robot: Robot, branches: Sequence[FoundBranch], origin: Array, *, limits: bool
 ) -> tuple[Branch, ...]:
-    """Return the different branches in the order in which a caller would prefer them.
+    """Return the different branches in order of preference.
 
     Branches inside the limits are first, then those with a smaller angle, then those nearer to
     ``origin``.

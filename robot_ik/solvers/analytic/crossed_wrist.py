@@ -1,12 +1,12 @@
 """Closed form of six hinges: a spherical shoulder, any elbow, and two last axes that meet.
 
-A Franka Panda is such an arm once its last joint stands still (He & Liu, Analytical inverse
-kinematics for Franka Emika Panda, 2021). Here the form is derived for any arm of this class, from
-its joint axes alone. S is where axes 1 to 3 meet, W where axes 5 and 6 meet:
+A Franka Panda with a fixed last joint is such an arm (He & Liu, Analytical inverse kinematics for
+Franka Emika Panda, 2021). This module derives the form for any arm of this class from its joint
+axes alone. Axes 1 to 3 meet in the point S. Axes 5 and 6 meet in the point W.
 
     elbow     axis 4 alone changes the distance of S and W                      subproblem 3
-    wrist     axes 5 and 6 bring S to its place, seen from the last link        subproblem 2
-    shoulder  axes 1 to 3 produce the rotation that remains                     subproblems 4, 1
+    wrist     axes 5 and 6 bring S to its position, seen from the last link     subproblem 2
+    shoulder  axes 1 to 3 produce the remaining rotation                        subproblems 4, 1
 
 Each has up to two solutions. The tables ``axes`` and ``extra`` are those of ``six_axes.py``, with W
 in place of the wrist's centre. ``extra`` has a sixth row, S.
@@ -79,7 +79,8 @@ def shoulder_angles(form, target, flip, c, s):
         base_axis = behind_wrist(axes, c, s, relative_back(target, extra, h1))  # Qᵀ h1
         q3, _ = angle_between(h3, so3.rotate(h2, c2, -s2, h1), base_axis)  # R2ᵀ h1
         return q1, q2, -q3, True
-    # Axes 1 and 3 in line: only q1 ± q3 counts. The rotation of any vector across them gives it.
+    # Axes 1 and 3 are aligned, so only q1 ± q3 counts. The rotation of any perpendicular vector
+    # gives it.
     sign = 1.0 if so3.dot(bent, h1) > 0.0 else -1.0
     across = so3.cross(h1, h2)
     turned = before_wrist(axes, c, s, so3.rotate(h2, c2, -s2, across))

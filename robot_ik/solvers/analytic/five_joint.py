@@ -1,9 +1,9 @@
-"""Five joints: pan, three parallel pitch axes and roll. Exact position, best orientation, proof.
+"""Arms with five joints: pan, three parallel pitch axes, roll. Exact position, best orientation.
 
-An arm with five joints reaches a position with a one-dimensional choice of orientations, and a
-wanted orientation almost never. This closed form keeps the tool point at the target and minimises
-the angle to the wanted orientation, or of one axis. It proves how small the angle can be, and when
-the position is out of reach it finds the nearest one.
+An arm with five joints reaches a position with a one-dimensional set of orientations, which almost
+never contains the target orientation. This closed form keeps the tool point at the target position
+and minimises the angle to the target orientation, or of one axis. It proves a lower bound of the
+angle. If the position is out of reach, it finds the nearest position.
 
     five_joint_pitch     the best pitch in closed form where the other parameter is fixed
     five_joint_search    branch and bound over that parameter
@@ -55,10 +55,10 @@ from robot_ik.solvers.base import BatchResult, FoundBranch, run_each
 if TYPE_CHECKING:
     from robot_ik.problem import Problem
 
-# rad: angles nearer than this are equal. Then the branch of the start is taken.
+# rad. Angles that differ by less are equal. Then the branch of the start is taken.
 _EQUAL_ANGLE = 1e-6
-# m: with a target out of reach the tool may be this much farther than the nearest position, so
-# that a configuration exists there that is not on the border of the workspace.
+# m. For a target out of reach the tool may be this much farther away than the nearest position, so
+# that a configuration exists that is not on the border of the workspace.
 _ALLOWANCE = 1e-6
 
 # ``close_position``: steps, m at which it ends, damping in m², and rad of the largest change.
@@ -85,8 +85,8 @@ RUN = Layout(
 )
 open_run = RUN.open
 
-# What a run is for: the solution; the solution on the branch of the start; the optimum of every
-# branch; only measuring the start.
+# Purpose of a run: the solution, the solution on the branch of the start, the optimum of every
+# branch, or only the measurement of the start.
 SOLVE, TRACK, EVERY, START_ONLY = range(4)
 
 
@@ -240,7 +240,7 @@ def with_stopped(stopped, joint):
 
 @outlined
 def choose_branch(find):
-    """Return the branch with the smallest angle, or -1, and whether nothing was left unsearched.
+    """Return the branch with the smallest angle, or -1, and whether all branches were searched.
 
     Among equal angles the first branch is taken, which is that of the start.
     """
@@ -267,7 +267,7 @@ def smallest_bound(find):
 
 @outlined
 def move_to_nearest(run, mode):
-    """Move run.target to the nearest position that the arm reaches; in a loop, from the start."""
+    """Move run.target to the nearest position that the arm reaches; if tracking, from the start."""
     arm = run.arm
     target = run.target
     across = target.range
@@ -410,8 +410,9 @@ class FiveJointForm:
     Attributes:
         arm: Block of ``ARM``.
         kind: ALL_AXES or ONE_AXIS.
-        position_goal, angle_goal: Which parts of the problem's goals.
-        needs_angle: The orientation decides whether a solve has converged.
+        position_goal: Index of the position among the parts of the problem's goals.
+        angle_goal: Index of the orientation among them.
+        needs_angle: Whether the orientation decides convergence.
     """
 
     family: ClassVar[Family] = Family.FIVE_JOINT
@@ -428,7 +429,7 @@ def five_joint_form(problem: Problem) -> FiveJointForm | None:
 
     The goals are a pose, or a position and an orientation that is soft or of a later priority.
     """
-    places = _places(problem)
+    places = _goal_indices(problem)
     if places is None:
         return None
     position, angle = places
@@ -459,8 +460,8 @@ def five_joint_form(problem: Problem) -> FiveJointForm | None:
     )
 
 
-def _places(problem: Problem) -> tuple[int, int] | None:
-    """Return which goals have the position and the orientation; None for other goals."""
+def _goal_indices(problem: Problem) -> tuple[int, int] | None:
+    """Return the indices of the position and orientation goal; None for other goals."""
     parts = problem.parts
     kinds = [type(part) for part in parts]
     if kinds == [PoseGoal]:
@@ -558,7 +559,7 @@ def _plane_point(vector: Array) -> complex:
 
 
 def _limits(tree: Tree, chain: list[int], signs: Array) -> tuple[Array, Array]:
-    """Return the limits (5,) counted about the axes of the basis; ±π for joints without limits."""
+    """Return the limits (5,), rad, about the axes of the basis; ±π for joints without limits."""
     dofs = tree.vadr[chain]
     first = signs * tree.lower[dofs]
     second = signs * tree.upper[dofs]
@@ -592,7 +593,7 @@ def _sheets(upper_length: float, fore_length: float, lower: float, upper: float)
 
 
 class PreparedFiveJoint:
-    """The closed form of a five-joint arm, made ready for one problem."""
+    """The closed form of a five-joint arm, prepared for one problem."""
 
     name = "analytic"
     proves_best = True
@@ -698,7 +699,7 @@ class PreparedFiveJoint:
         return branches
 
     def _trace(self) -> Array:
-        """Return the one row of a closed form's trace."""
+        """Return the trace, which has one row."""
         arrays = self.search.arrays
         position, angle = arrays["error"].max(axis=0)
         step = float(np.linalg.norm(arrays["q"] - self._start))

@@ -1,4 +1,4 @@
-"""Five joints: the position nearest to a target that is out of reach.
+"""Arms with five joints: the position nearest to a target that is out of reach.
 
 With pan and turn fixed, the arm is three links in a plane. At the smallest distance each joint is
 at a limit, or rotates the rest of the arm towards or away from the target. So it suffices to try
@@ -26,15 +26,15 @@ from robot_ik.solvers.analytic.five_joint_pitch import (
 # Turns that are tried, and starts of the pan.
 _TURNS = 33
 _PANS = 4
-# Alternations of pan and plane, and of the last polish; m: smallest improvement that goes on.
+# Largest number of alternations of pan and plane, in the search and in the last polish. The
+# smallest improvement, m, for another alternation.
 _ALTERNATIONS = 40
 _LAST_ALTERNATIONS = 1000
 _NO_IMPROVEMENT = 1e-13
-# rad: step of the turn at which the refinement ends; largest number of steps; factor after a step
-# without improvement.
+# Step of the turn at which the refinement ends, rad. Largest number of steps.
 _LAST_TURN_STEP = 1e-9
 _MAX_TURN_STEPS = 120
-# rad: first and last step of the turn in a loop.
+# First and last step of the turn in a loop, rad. Factor on the step after no improvement.
 _LOCAL_TURN_STEP = 0.1
 _LAST_LOCAL_STEP = 1e-4
 _STEP_FACTOR = 0.6
@@ -64,7 +64,7 @@ def limit_of(arm, joint, choice):
 
 @inlined
 def choice_of(choices, joint):
-    """Return what one of three joints does: 0 free, 1 at its lower limit, 2 at its upper limit."""
+    """Return the state of one of three joints: 0 free, 1 at its lower, 2 at its upper limit."""
     if joint == 0:
         return choices // 9
     return (choices // 3) % 3 if joint == 1 else choices % 3
@@ -289,7 +289,7 @@ def solve_nearest_locally(arm, target, nearest, start):
 
 @outlined
 def refine_turn(arm, target, nearest, best, best_turn, step, last_step):
-    """Improve nearest.q by ever smaller steps of the turn; return the distance and the turn."""
+    """Improve nearest.q by shrinking steps of the turn; return the distance and the turn."""
     lower = arm.lower[4] + arm.turn_zero
     upper = arm.upper[4] + arm.turn_zero
     step *= _STEP_FACTOR

@@ -1,11 +1,11 @@
-"""Five joints: the best pitch where the other parameter is fixed, in closed form.
+"""Arms with five joints: the best pitch for a fixed other parameter, in closed form.
 
 The arm has a pan axis, three parallel pitch axes (lift, elbow, wrist) perpendicular to it, and a
 roll axis perpendicular to the pitch axes. Names:
 
     pitch     angle of the roll axis in the arm plane
     bearing   azimuth of the tool point, seen from the pan joint
-    turn      roll angle, counted from where the tool point leaves the arm plane
+    turn      roll angle, counted from the angle at which the tool point is in the arm plane
 
 A point (x, z) of the arm plane is the complex number x − iz, so that a pitch is a multiplication.
 ``docs/theory/five_joints.md`` derives the formulas.
@@ -19,15 +19,15 @@ import math
 from robot_ik.kernels.block import Layout
 from robot_ik.kernels.jit import inlined, outlined
 
-# m: a limit that is exceeded by no more than this counts as met. Without it, a target exactly on
-# the border of the workspace has no configuration.
+# m. A limit that is exceeded by no more than this counts as met. Without this slack, a target
+# exactly on the border of the workspace has no configuration.
 ON_BOUNDARY = 2e-7
-# rad: excess over a joint limit that rounding may cause. The result is clipped.
+# rad. Excess over a joint limit that rounding may cause. The result is clipped.
 LIMIT_SLACK = 1e-9
 # The sine of the coupling may exceed 1 by this much through rounding.
 SINE_SLACK = 1e-12
 
-# What the angle measures: the whole orientation, or the direction of one axis.
+# Meaning of the angle: of the full orientation, or of the direction of one axis.
 ALL_AXES, ONE_AXIS = range(2)
 
 # Rows of ``ARM.ends``: the elbow seen from the shoulder with the lift joint at its lower and upper
@@ -43,8 +43,8 @@ ARM = Layout(
     fore_length="float",  # elbow axis to wrist axis, m
     upper_angle="float",  # directions of these links at zero joint angles
     fore_angle="float",
-    tool_x="float",  # foot of the tool point on the roll axis, seen from the wrist axis; this axis
-    tool_y="float",  # is real
+    tool_x="float",  # foot of the tool point on the roll axis, seen from the wrist axis. The roll
+    tool_y="float",  # axis is the real axis.
     side="float",  # offset of the roll axis from the pan axis along the pitch axes, m
     radius="float",  # distance of the tool point from the roll axis, m
     turn_zero="float",  # turn at zero roll
@@ -167,7 +167,7 @@ def elbow_bend(arm, sign, distance):
 
 @outlined
 def coupled(arm, target, parameter):
-    """Return bearing and turn for a parameter, and how far outside [-1, 1] the sine is.
+    """Return bearing and turn for a parameter, and the excess of the sine over [-1, 1].
 
     range sin(bearing) = side + radius sin(turn). The angle on the larger circle follows from the
     angle on the smaller circle.
@@ -305,8 +305,8 @@ def write_edges(arm, target, point, tool, slack):
 def nearest_edge(arm, target, point, tool, wanted, slack, count):
     """Return the distance from ``wanted`` to the nearest allowed edge, this edge, and a count.
 
-    Forbidden edges are removed from target.edges; the count says how many are left. The distance
-    is inf if no edge is allowed.
+    Forbidden edges are removed from target.edges; the count is the number of edges left. The
+    distance is inf if no edge is allowed.
     """
     edges = target.edges
     tested = target.tested

@@ -1,4 +1,4 @@
-"""Five joints: branch and bound over the one parameter that has no closed form.
+"""Arms with five joints: branch and bound over the one parameter without a closed form.
 
 The parameter is the turn, or the bearing for a target nearer to the pan axis than the tool point is
 to the roll axis. ``five_joint_pitch.best_pitch`` gives the smallest angle for each parameter.
@@ -36,36 +36,36 @@ from robot_ik.solvers.analytic.five_joint_pitch import (
     write_edges,
 )
 
-# rad: the search ends when the lower bound is this near to the best angle (0.009 degrees).
+# rad. The search ends when the lower bound is this near to the best angle (0.009 degrees).
 GAP = math.radians(0.009)
-# Boxes of one branch. About 1 of 6000 random targets needs more. Its bound still holds, but the
-# gap is larger.
+# Largest number of boxes of one branch. About 1 of 6000 random targets needs more. The bound is
+# valid then too, but the gap is larger.
 _MAX_BOXES = 4000
-# Boxes that wait at one time.
+# Largest number of boxes that wait at one time.
 _MAX_OPEN_BOXES = 2048
-# Width of a box that is not divided any more: rounding of the sine equation.
+# Width of a box that is not divided further: rounding of the sine equation.
 _SMALLEST_BOX = 1e-13
 # Parameters that are tried on each piece before the search.
 _SAMPLES = 4
-# rad per metre: width of a box at which the proof of ``is_out_of_reach`` gives up.
+# rad per metre. Width of a box at which the proof of ``is_out_of_reach`` ends without a result.
 _SMALLEST_PROOF_BOX = 0.1
 # Golden-section steps of the polish. They shrink the last box by 4e-6.
 _POLISH_STEPS = 26
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
-# m: tool points and targets nearer to an axis than this lie on it.
+# m. Tool points and targets nearer to an axis than this lie on it.
 ON_AXIS = 1e-9
-# rad: so far beyond a pan or roll limit an angle is searched, then clipped. A target that needs the
-# pan joint exactly at its limit is met at one roll angle only, which no search hits.
+# rad. Angles are searched up to this beyond a pan or roll limit, then clipped. A target that needs
+# the pan joint exactly at its limit is met at one roll angle only, which a search does not find.
 _END_SLACK = 1e-7
-# rad: excesses over a joint limit that differ by less are equal.
+# rad. Excesses over a joint limit that differ by less are equal.
 _SAME_EXCESS = 1e-6
-# rad: a branch whose search ended this much above the best known angle is not polished.
+# rad. A branch whose search ended this much above the best known angle is not polished.
 _WORTH_POLISHING = math.radians(0.5)
-# rad: half width of the parameters that ``track`` searches around the start.
+# rad. Half width of the parameters that ``track`` searches around the start.
 _TRACK_WINDOW = 0.15
-# rad: an optimum nearer than this to an end of the window is outside.
+# rad. An optimum nearer than this to an end of the window is outside.
 _AT_WINDOW_END = 1e-4
-# rad: a joint that would move farther in one step of ``track`` jumps.
+# rad. A joint that would move farther in one step of ``track`` jumps.
 _LONGEST_STEP = 1.0
 # Pieces of one branch, cuts of the parameter, and branches: two of the pan, up to four of the
 # elbow.
@@ -85,7 +85,7 @@ _ANGLE, _PARAMETER, _PITCH, _WIDTH = range(4)
 
 SEARCH = Layout(
     "FiveJointSearch",
-    known="float",  # smallest angle of any branch; larger angles are of no interest
+    known="float",  # smallest angle of any branch so far; larger angles are discarded
     track_branch="int",
     branches="int",  # number of branches
     boxes="table 2048 3",  # first and last parameter, lower bound
@@ -178,7 +178,7 @@ def coupled_range(arm, target, first, last, slack):
     """Return the range of the coupled angle for parameters in [first, last].
 
     The range is empty, with its lower end above its upper end, if the sine is outside [-1, 1].
-    ``slack`` (m): the tool point may be this far beside the target.
+    ``slack`` is the allowed distance of the tool point from the target, m.
     """
     if target.by_turn:
         scale = 1.0 / target.range
@@ -204,9 +204,10 @@ def box_bound(arm, target, search, first, last, enough, position_slack):
     """Return a lower bound of the angle for parameters in [first, last]; inf if none is possible.
 
     Bearing and turn vary over arcs. Each arc lies in the hull of four points, and the objective is
-    linear in each of them. So it is largest at one of 16 corners, whatever the pitch. For each
-    corner the best pitch is the one nearest to its own wanted pitch that some parameter in the box
-    may allow. The limits of the pitch joints are left out if the bound is ``enough`` without them.
+    linear in each of them. So it is largest at one of 16 corners, for every pitch. For each
+    corner the best pitch is the pitch nearest to the optimum of the corner that some parameter in
+    the box may allow. The limits of the pitch joints are left out if the bound without them is at
+    least ``enough``.
 
     The bound holds for every tool point within ``position_slack`` metres of the target.
     """
@@ -359,7 +360,7 @@ def sample_branch(arm, target, search, branch):
 def interval_around_best(search, branch):
     """Return the interval around the best parameter that the polish searches.
 
-    It ends where the pieces end that touch that of the best parameter.
+    It consists of the piece with the best parameter and the pieces next to it.
     """
     pieces = search.pieces
     parameter = search.best[branch, _PARAMETER]
@@ -510,8 +511,9 @@ def write_pieces(arm, target, search, branch):
 def write_joint_angles(arm, target, search, branch):
     """Write the joint angles of the best configuration of a branch to search.qs.
 
-    A joint a little beyond its limit is set to it, and the other pitch joints close the chain. The
-    tool point then moves by the excess in metres, at most ON_BOUNDARY, not by its square root.
+    A joint slightly beyond its limit is set to the limit, and the other pitch joints close the
+    chain. The tool point then moves by the excess in metres, at most ON_BOUNDARY, not by its square
+    root.
     """
     pitch = search.best[branch, _PITCH]
     bearing, turn, _ = coupled(arm, target, search.best[branch, _PARAMETER])
@@ -550,7 +552,7 @@ def write_joint_angles(arm, target, search, branch):
 def brought_inside(angle, start, lower, upper):
     """Return the angle, moved by full turns into its limits, nearest to ``start``, and clipped.
 
-    An angle a little beyond a limit is clipped to that limit, not moved to the other one.
+    An angle slightly beyond a limit is clipped to that limit, not moved to the other limit.
     """
     nearest = start + wrap(angle - start)
     inside = nearest

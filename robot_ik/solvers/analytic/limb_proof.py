@@ -150,6 +150,6 @@ def prove_limb(address):
 
 @inlined
 def wanted_wrist(search, wrist_in_tool):
-    """Return where the target puts the centre of the wrist."""
+    """Return the position of the wrist's centre (3,), world, m, at the target."""
     rotated = so3.apply(so3.read_matrix_rotation(search.target, 0), wrist_in_tool)
     return so3.add(so3.read_matrix_point(search.target, 0), rotated)

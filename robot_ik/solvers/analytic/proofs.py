@@ -1,6 +1,6 @@
 """Proofs that no joint angles inside the limits bring the frame within tolerance of its target.
 
-The proofs follow the formulas of the closed forms with intervals in place of numbers. The centre
+The proofs evaluate the formulas of the closed forms with intervals in place of numbers. The centre
 of the wrist is known to the tolerance of the position, plus the tolerance of the angle times the
 length of the tool. If every branch ends in an empty set or beyond a limit, the goal is unreachable.
 Near singular poses the intervals grow until nothing can be proven. They are never too small.
@@ -18,12 +18,12 @@ from robot_ik.kernels.jit import inlined, kernel, outlined
 from robot_ik.solvers.analytic.recognise import Family
 from robot_ik.solvers.analytic.six_axes import (
     after_arm,
-    back,
+    axis_sign,
     before_arm,
     centre,
     relative_back,
     relative_rotation,
-    same_way,
+    rotate_back,
 )
 from robot_ik.solvers.analytic.subproblems import (
     angle_between,
@@ -80,7 +80,7 @@ def third_side(squares, distance, error, amplitude):
 
 @inlined
 def chord(angle, radius):
-    """Return how far a rotation up to ``angle`` moves a point at ``radius`` from its axis, m."""
+    """Return the largest motion, m, of a point at ``radius`` by a rotation up to ``angle``."""
     return 2.0 * radius * math.sin(0.5 * min(angle, math.pi))
 
 
@@ -168,7 +168,7 @@ def prove_planar(address):
     u = so3.read_vector(axes, 0, 0)
     p1 = so3.read_vector(axes, 0, 3)
     p2 = so3.read_vector(axes, 1, 3)
-    along = same_way(u, axes, 1)
+    along = axis_sign(u, axes, 1)
     g = so3.subtract(so3.read_vector(form.target, 0, 0), p1)
     e = so3.subtract(so3.read_vector(form.extra, 0, 0), p2)
     f = so3.subtract(p1, p2)
@@ -240,7 +240,7 @@ def wrist_is_out_of_reach(form, target, tolerance, lever):
     p1 = so3.read_vector(axes, 0, 3)
     p2 = so3.read_vector(axes, 1, 3)
     p3 = so3.read_vector(axes, 2, 3)
-    along = same_way(u, axes, 2)
+    along = axis_sign(u, axes, 2)
     e = so3.subtract(end, p3)
     f = so3.subtract(p2, p3)
     height = so3.dot(u, so3.subtract(end, p1))
@@ -331,7 +331,7 @@ def prove_parallel(address):
             continue
         c1 = math.cos(q1)
         s1 = math.sin(q1)
-        wanted = back(axes, 0, c1, s1, relative)  # Q1 h6
+        wanted = rotate_back(axes, 0, c1, s1, relative)  # Q1 h6
         g = so3.subtract(so3.add(so3.rotate(h, c1, -s1, d), p1), p2)
         base_axis = relative_back(target, extra, so3.rotate(h, c1, s1, u))  # Q1^T u
         g_error = error + chord(radius, distance_to_axis(h, d))
@@ -359,8 +359,8 @@ def three_may_fit(form, q5, radius5, wanted, base_axis, g, g_error, tilt):
     p2 = so3.read_vector(axes, 1, 3)
     p3 = so3.read_vector(axes, 2, 3)
     p4 = so3.read_vector(axes, 3, 3)
-    along3 = same_way(u, axes, 2)
-    along4 = same_way(u, axes, 3)
+    along3 = axis_sign(u, axes, 2)
+    along4 = axis_sign(u, axes, 3)
     c5 = math.cos(q5)
     s5 = math.sin(q5)
     polar = polar_angle(u, wanted)
@@ -395,7 +395,7 @@ def three_may_fit(form, q5, radius5, wanted, base_axis, g, g_error, tilt):
 def prove_crossed(address):
     """Return whether a pose is out of reach of a spherical shoulder with a crossed wrist.
 
-    Only the elbow is followed: it alone changes the distance of shoulder and wrist.
+    Only the elbow is evaluated: it alone changes the distance of shoulder and wrist.
     """
     run = open_run(address)
     form = run.form
@@ -420,7 +420,7 @@ def prove_crossed(address):
     )
 
 
-# Compiled when a goal is first missed.
+# Each proof is compiled when a solve first does not converge.
 PROOFS: dict[Family, Callable[[Any], bool]] = {
     Family.PLANAR_TWO_LINK: prove_planar,
     Family.SPHERICAL_WRIST: prove_wrist,

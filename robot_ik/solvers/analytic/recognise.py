@@ -1,6 +1,6 @@
-"""Recognises, from a kinematic tree alone, the arms that have a closed form.
+"""Recognition of the arms that have a closed form, from a kinematic tree alone.
 
-Only the joint axes as lines in space at q = 0 count: names, link frames, base and tool do not.
+Only the joint axes as lines in space at q = 0 count. Names, link frames, base and tool do not.
 """
 
 from __future__ import annotations
@@ -197,14 +197,14 @@ def _six_axes(chain: list[int], axes: Array, tool: Pose, scale: float) -> Form |
 
 
 def _wrist_centre(axes: Array, scale: float) -> Array | None:
-    """Where the last three axes meet, if axes 2 and 3 are parallel and 1 is not; else None."""
+    """Return the point of the last three axes, if axes 2 and 3 are parallel and 1 is not."""
     if not _parallel(axes, 1, 2) or _parallel(axes, 0, 1):
         return None
     return _centre(axes[3:], scale)
 
 
 def _joint_centre(kinds: list[int], axes: Array, scale: float) -> tuple[int, Array | None]:
-    """Return how many joints at the root turn about one point in every direction, and the point."""
+    """Return the number of joints of a spherical joint at the root, and its centre (3,)."""
     if kinds and kinds[0] == BALL:
         return 1, axes[0, 3:]
     if kinds[:3] != [HINGE] * 3:
@@ -213,7 +213,7 @@ def _joint_centre(kinds: list[int], axes: Array, scale: float) -> tuple[int, Arr
 
 
 def _centre(axes: Array, scale: float) -> Array | None:
-    """Where three axes meet that can turn in every direction, or None."""
+    """Return the point (3,) of three axes that meet and allow every rotation, or None."""
     if _parallel(axes, 0, 1) or _parallel(axes, 1, 2):
         return None
     centre = _meeting(axes[1], axes[2], scale)
@@ -242,7 +242,7 @@ def _parallel(axes: Array, i: int, j: int) -> bool:
 
 
 def _meeting(a: Array, b: Array, scale: float) -> Array | None:
-    """Where two lines meet, or None."""
+    """Return the point (3,) where two lines meet, or None."""
     normal = np.cross(a[:3], b[:3])
     square = float(normal @ normal)
     if square < _PARALLEL**2:

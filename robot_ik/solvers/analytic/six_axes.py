@@ -36,19 +36,19 @@ def zero_rotation(extra):
 
 @inlined
 def relative_rotation(target, extra, v):
-    """R_target · R_Mᵀ · v: what the joints' rotation makes of v (v as at q = 0)."""
+    """Return R_target · R_Mᵀ · v: the vector v at q = 0, rotated by the joints."""
     return so3.apply(so3.read_rotation(target, 0), so3.apply_inverse(zero_rotation(extra), v))
 
 
 @inlined
 def relative_back(target, extra, v):
-    """R_M · R_targetᵀ · v: the inverse of ``relative_rotation``."""
+    """Return R_M · R_targetᵀ · v: the inverse of ``relative_rotation``."""
     return so3.apply(zero_rotation(extra), so3.apply_inverse(so3.read_rotation(target, 0), v))
 
 
 @inlined
 def centre(target, extra):
-    """Where the wrist centre must be, world."""
+    """Return the position of the wrist centre at the target, world."""
     return so3.add(
         so3.read_vector(target, 0, 0),
         so3.apply(so3.read_rotation(target, 0), so3.read_vector(extra, 1, 0)),
@@ -56,15 +56,17 @@ def centre(target, extra):
 
 
 @inlined
-def back(axes, j, c, s, v):
-    """v rotated about axis j by minus the angle with cosine c and sine s."""
+def rotate_back(axes, j, c, s, v):
+    """Return v rotated about axis j by minus the angle with cosine c and sine s."""
     return so3.rotate(so3.read_vector(axes, j, 0), c, -s, v)
 
 
 @inlined
 def before_arm(axes, c, s, v):
-    """v before joints 1 to 3 rotated it, by angles of cosines c (3) and sines s (3)."""
-    return back(axes, 2, c[2], s[2], back(axes, 1, c[1], s[1], back(axes, 0, c[0], s[0], v)))
+    """Return v before the rotation by joints 1 to 3, of cosines c (3) and sines s (3)."""
+    return rotate_back(
+        axes, 2, c[2], s[2], rotate_back(axes, 1, c[1], s[1], rotate_back(axes, 0, c[0], s[0], v))
+    )
 
 
 @inlined
@@ -80,8 +82,8 @@ def after_arm(axes, c, s, v):
 
 
 @inlined
-def same_way(u, axes, j):
-    """1 where axis j, parallel to u, points the same way, else -1."""
+def axis_sign(u, axes, j):
+    """Return 1 if axis j, parallel to u, has the same direction, else -1."""
     return 1.0 if so3.dot(u, so3.read_vector(axes, j, 0)) > 0.0 else -1.0
 
 
@@ -89,8 +91,9 @@ def same_way(u, axes, j):
 def elbow_angles(u, f, e, g):
     """Return the angles a about u at which R(u, a) e − f is as far from the axis as g.
 
-    The result has the form of ``angles_to_height``. Two links move across u. f and e lead from the
-    elbow to the first axis and to the end at a = 0. g leads from the first axis to the target.
+    The result has the form of ``angles_to_height``. Two links move perpendicular to u. f and e are
+    the vectors from the elbow to the first axis and to the end at a = 0. g is the vector from the
+    first axis to the target.
     """
     fu = so3.dot(f, u)
     eu = so3.dot(e, u)
@@ -148,7 +151,7 @@ def keep_branch(form, row, angles, free):
 def wrist_angles(form, target, flip, c, s):
     """Return q4, q5, q6 for the rotation that remains after joints 1 to 3, and if they exist.
 
-    R₄ R₅ R₆ = Q = (R₁ R₂ R₃)ᵀ R_target R_Mᵀ.  Only Q h₆ and Qᵀ h₄ are needed.
+    R₄ R₅ R₆ = Q = (R₁ R₂ R₃)ᵀ R_target R_Mᵀ. Only Q h₆ and Qᵀ h₄ are needed.
     """
     axes = form.axes
     extra = form.extra
@@ -171,10 +174,11 @@ def wrist_angles(form, target, flip, c, s):
         base_axis = relative_back(target, extra, after_arm(axes, c, s, h4))  # Qᵀ h4
         q6, _ = angle_between(h6, so3.rotate(h5, c5, -s5, h4), base_axis)  # R5ᵀ h4
         return q4, q5, -q6, True
-    # Axes 4 and 6 in line: only q4 ± q6 counts. The rotation of any vector across them gives it.
+    # Axes 4 and 6 are aligned, so only q4 ± q6 counts. The rotation of any perpendicular vector
+    # gives it.
     sign = 1.0 if so3.dot(bent, h4) > 0.0 else -1.0
     p = so3.cross(h4, h5)
-    turned = so3.rotate(h5, c5, -s5, p)  # R5ᵀ p: what p was before joint 5
+    turned = so3.rotate(h5, c5, -s5, p)  # R5ᵀ p: p before joint 5
     total, _ = angle_between(
         h4, p, before_arm(axes, c, s, relative_rotation(target, extra, turned))
     )
@@ -184,9 +188,9 @@ def wrist_angles(form, target, flip, c, s):
 
 @outlined
 def spherical_wrist(form, target):
-    """All branches of an arm whose axes 2 and 3 are parallel and whose last three meet.
+    """Find all branches of an arm with parallel axes 2, 3 and three last axes that meet.
 
-    Fills ``form.branches`` (8, 6; cleared), row = 4·shoulder + 2·elbow + flip.
+    Fills ``form.branches`` (8, 6), which is cleared, with the row 4·shoulder + 2·elbow + flip.
     """
     noinline()
     axes = form.axes
@@ -198,7 +202,7 @@ def spherical_wrist(form, target):
     p1 = so3.read_vector(axes, 0, 3)
     p2 = so3.read_vector(axes, 1, 3)
     p3 = so3.read_vector(axes, 2, 3)
-    along3 = same_way(u, axes, 2)
+    along3 = axis_sign(u, axes, 2)
     e = so3.subtract(end, p3)
     f = so3.subtract(p2, p3)
     height = so3.dot(u, so3.subtract(end, p2)) + so3.dot(u, so3.subtract(p2, p1))
@@ -260,8 +264,8 @@ def three_parallel(form):
     p2 = so3.read_vector(axes, 1, 3)
     p3 = so3.read_vector(axes, 2, 3)
     p4 = so3.read_vector(axes, 3, 3)
-    along3 = same_way(u, axes, 2)
-    along4 = same_way(u, axes, 3)
+    along3 = axis_sign(u, axes, 2)
+    along4 = axis_sign(u, axes, 3)
     end = so3.read_vector(extra, 0, 0)
     d = so3.subtract(centre(target, extra), p1)
     middle1, half1, amplitude1, possible = angles_to_height(
@@ -276,7 +280,7 @@ def three_parallel(form):
         q1 = pick_angle(shoulder == 0, middle1, half1, amplitude1, start[0])
         c1 = math.cos(q1)
         s1 = math.sin(q1)
-        a = back(axes, 0, c1, s1, wanted)  # Q1 h6
+        a = rotate_back(axes, 0, c1, s1, wanted)  # Q1 h6
         middle5, half5, amplitude5, possible = angles_to_height(u, h5, h6, so3.dot(u, a))
         if not possible or amplitude5 < 1e-12:
             continue
@@ -296,11 +300,11 @@ def three_parallel(form):
             for k in range(_FREE_TRIES if free else 1):
                 if free:
                     q6 = free_place(k, start[5], form.lower[5], form.upper[5])
-                    # Across u lies h5; what the joints before 6 make of it gives θ.
+                    # h5 is perpendicular to u. Its rotation by the joints before 6 gives θ.
                     m = relative_rotation(
                         target, extra, so3.rotate(h6, math.cos(q6), -math.sin(q6), h5)
                     )
-                    theta, _ = angle_between(u, h5, back(axes, 0, c1, s1, m))
+                    theta, _ = angle_between(u, h5, rotate_back(axes, 0, c1, s1, m))
                 v = so3.subtract(
                     g, so3.rotate(u, math.cos(theta), math.sin(theta), so3.subtract(end, p4))
                 )  # p2 -> p4
@@ -335,7 +339,7 @@ def planar_two_link(form, slack):
     u = so3.read_vector(axes, 0, 0)
     p1 = so3.read_vector(axes, 0, 3)
     p2 = so3.read_vector(axes, 1, 3)
-    along = same_way(u, axes, 1)
+    along = axis_sign(u, axes, 1)
     g = so3.subtract(so3.read_vector(target, 0, 0), p1)
     e = so3.subtract(so3.read_vector(extra, 0, 0), p2)
     f = so3.subtract(p1, p2)

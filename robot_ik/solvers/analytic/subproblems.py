@@ -1,4 +1,4 @@
-"""Subproblems of rotation, of which the closed forms consist, and their shared arrays.
+"""Subproblems of rotation that make up the closed forms, and their shared arrays.
 
 After Paden (Kinematics and control of robot manipulators, 1986) and Elias & Wen (IK-Geo: unified
 robot inverse kinematics using subproblem decomposition, 2022, subproblems 1, 3 and 4).
@@ -30,7 +30,7 @@ from robot_ik.kernels.search import (
 )
 from robot_ik.kernels.tree import TREE
 
-# Metres or cosines by which a reach, or the plane of a motion, may be missed through rounding.
+# m or cosine. Rounding error that is allowed for a reach, or for the plane of a motion.
 SLACK = 1e-9
 
 
@@ -62,7 +62,7 @@ def angle_between(k, p, q):
 
 @inlined
 def height_terms(h, k, p):
-    """h · R(k, θ) p = constant + amplitude · cos(θ - centre): constant, amplitude, centre."""
+    """Return c, a, centre of h · R(k, θ) p = c + a · cos(θ − centre)."""
     constant = so3.dot(h, k) * so3.dot(k, p)
     a = so3.dot(h, p) - constant
     b = so3.dot(h, so3.cross(k, p))
@@ -149,7 +149,7 @@ FORM = Layout(
 RUN = Layout("ClosedFormRun", tree=TREE, goals=GOALS, search=SEARCH, form=FORM)
 open_run = RUN.open
 
-# Modes of a run: find the solution; find every branch, even for a start at the goal; only measure
+# Modes of a run: find the solution, find every branch even for a start at the goal, or only measure
 # the start.
 SOLVE, EVERY, START_ONLY = range(3)
 
@@ -196,7 +196,7 @@ def take_branch(tree, goals, search, form, inside, exists):
 
 @outlined
 def invert(target, inverse):
-    """The inverse of the pose row target[0] into inverse[0]."""
+    """Write the inverse of the pose row target[0] to inverse[0]."""
     x, y, z = so3.apply_inverse(so3.read_rotation(target, 0), so3.read_vector(target, 0, 0))
     inverse[0, 0] = -x
     inverse[0, 1] = -y
@@ -208,7 +208,7 @@ def invert(target, inverse):
 
 @inlined
 def clear(branches):
-    """No branch yet: NaN."""
+    """Write NaN to all rows: no branch."""
     for row in range(branches.shape[0]):
         for j in range(branches.shape[1]):
             branches[row, j] = math.nan

@@ -1,8 +1,8 @@
 """``PreparedSwept``: a free solution of an arm of seven hinges, angle by angle of the last joint.
 
 With its last joint fixed the arm has the closed form of ``crossed_wrist.py``. The last joint is
-tried at its start and then farther and farther from it, to both sides. The first branch inside the
-limits that keeps the margin is the solution. For each last angle the branches are tried in the
+tried at its start and then at increasing distances from it, to both sides. The first branch inside
+the limits that keeps the margin is the solution. For each last angle the branches are tried in the
 order of their distance from the start. If no try succeeds, nothing is proven.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
@@ -67,7 +67,7 @@ open_run = RUN.open
 
 @inlined
 def fix_last(form, last, angle):
-    """Write what the closed form needs for an angle of the last joint to form.extra."""
+    """Write form.extra of the closed form for an angle of the last joint."""
     extra = form.extra
     axis = so3.read_vector_at(last.axis, 0)
     point = so3.read_vector_at(last.axis, 3)

@@ -34,6 +34,7 @@ from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.kernels.precompile import Precompilation
 from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
+from robot_ik.schedule import Schedule, regular
 from robot_ik.testbed.ar.motion import DrawnMotion, make_motion, marker_from_base, standing
 from robot_ik.workcell.films import PictureSink, open_sink
 from robot_ik.workcell.precompile import precompile_overlay
@@ -380,9 +381,8 @@ def _open(
         count = max(1, round(seconds * _RATE_HZ))
 
         def made() -> Iterator[Frame]:
-            for number in range(1, count + 1):
+            for _ in Schedule(clock).ticks(regular(_RATE_HZ, count)):
                 yield source.read().without_truth()
-                clock.sleep_until(number / _RATE_HZ)
 
         intrinsics = source.scene.intrinsics
         return _Opened(made(), intrinsics, count, lambda t: board.pose(t).inverse().compose(camera))

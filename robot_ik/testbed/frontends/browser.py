@@ -74,6 +74,7 @@ from robot_ik.testbed.reach_maps import ReachMaps, ReachState
 from robot_ik.testbed.regions import figure_regions, reach_shell
 from robot_ik.testbed.session import Session
 from robot_ik.testbed.view import View
+from robot_ik.workcell.guided_recording import measured_table
 
 LOG = logging.getLogger(__name__)
 
@@ -353,7 +354,7 @@ class Page(Closing):
                     notice = "Nothing is recorded yet: press Teach, guide the arm, press Hold."
                     self.channel.send(page, {"notice": notice})
                 else:
-                    self._give(page, "recording.csv", arm.recording.csv_text())
+                    self._give(page, "recording.csv", measured_table(arm.recording))
             case actions.ShareMotion():
                 self._give_later(page, "motion.html", self._shared)
             case actions.FilmSession():

@@ -1,4 +1,4 @@
-"""The front end without a screen: it turns each view into a picture and a row of numbers.
+"""The front end without a screen: it turns each view into a picture.
 
 The painter draws robots, balls and a tiled floor. It needs no OpenGL. Pictures are BGR.
 """
@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from functools import lru_cache
-from pathlib import Path
 
 import cv2
 import mujoco
@@ -17,10 +16,7 @@ import numpy as np
 from robot_ik.camera.drawing.studio import Body, ball_model, photograph, tiled_room
 from robot_ik.camera.drawing.text import write as put_text
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.files import write_atomically
 from robot_ik.geometry import Pose
-from robot_ik.motion.keyframes import column_names
-from robot_ik.motion.trajectory import csv_table
 from robot_ik.ports import Array, Image
 from robot_ik.robot import Robot
 from robot_ik.testbed.arrangement import (
@@ -64,8 +60,8 @@ class Recorder:
     Args:
         session: The session that is filmed.
         size: Width and height of the pictures, pixels.
-        write: Called with each picture (height, width, 3) BGR and its time, s. None: only numbers
-            are kept.
+        write: Called with each picture (height, width, 3) BGR and its time, s. None: no
+            picture is taken.
     """
 
     def __init__(
@@ -79,40 +75,11 @@ class Recorder:
         self._write = write
         self._robot: Robot | None = None
         self._count = 0
-        self._rows: list[list[object]] = []
 
     def draw(self, view: View) -> None:
-        """Take one picture, and one row for each instance."""
+        """Take one picture."""
         if self._write is not None:
             self._write(self.picture(view), view.now)
-        names = column_names(self.session.robot)
-        for k, one in enumerate(view.instances):
-            angles = zip(names, one.q.tolist(), strict=True)
-            self._rows.append(
-                [
-                    view.tick,
-                    f"{view.now:.6f}",
-                    view.robot,
-                    k + 1,
-                    one.method,
-                    one.status,
-                    one.iterations,
-                    *view.ball.position.tolist(),
-                    one.error,
-                    one.angle,
-                    f"{one.statistics.mean:.9f}",
-                    f"{one.statistics.solved:.4f}",
-                    " ".join(f"{name}={value!r}" for name, value in angles),
-                ]
-            )
-
-    def save_numbers(self, path: Path) -> None:
-        """Write a CSV file with a row for each instance of each view.
-
-        Raises:
-            OutputError: It cannot be written.
-        """
-        write_atomically(path, csv_table(COLUMNS, self._rows))
 
     def picture(self, view: View) -> Image:
         """Return what a camera in front of the robots sees, with the statistics in a corner."""
@@ -197,23 +164,3 @@ def _plate_model(extent: float, rgba: tuple[float, float, float, float]) -> mujo
         rgba=rgba,
     )
     return spec.compile()
-
-
-COLUMNS = (
-    "tick",
-    "time_s",
-    "robot",
-    "instance",
-    "method",
-    "status",
-    "iterations",
-    "ball_x",
-    "ball_y",
-    "ball_z",
-    "error_m",
-    "angle_rad",
-    "mean_s",
-    "solved",
-    "q",
-)
-"""Columns of the CSV file."""

@@ -1,4 +1,4 @@
-"""Problem sets are what they say: seeded, reachable, singular, near limits, or beyond reach."""
+"""Problem sets have their properties: seeded, reachable, singular, near limits, or unreachable."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_a_witness_inside_the_limits_meets_every_target(kind: str, name: str) ->
     problems = some(kind, name, count=6)
     arm = robot(name)
     if kind == "singular" and name == "balls":
-        return  # has no such set of its own
+        return  # the robot has no such problems
     assert len(problems.witnesses) == len(problems) == 6
     for q, target in zip(problems.witnesses, problems.targets, strict=True):
         np.testing.assert_allclose(mujoco_pose(arm, q), target, atol=1e-12)
@@ -79,7 +79,7 @@ def test_a_witness_inside_the_limits_meets_every_target(kind: str, name: str) ->
 
 
 @pytest.mark.parametrize("name", ARMS)
-def test_singular_ones_are_singular(name: str) -> None:
+def test_singular_problems_are_singular(name: str) -> None:
     arm = robot(name)
     problems = some("singular", name, count=4)
     data = mujoco.MjData(arm.model)
@@ -98,7 +98,7 @@ def test_singular_ones_are_singular(name: str) -> None:
     assert np.median([singular_values(q)[5] for q in some("cold", name).witnesses]) > 1e-3
 
 
-def test_near_limit_ones_are_near_limits() -> None:
+def test_limit_problems_are_near_limits() -> None:
     arm = robot("puma560")
     q = some("limits", "puma560", count=40).witnesses
     span = arm.upper - arm.lower
@@ -112,7 +112,7 @@ def test_near_limit_ones_are_near_limits() -> None:
     ).any()
 
 
-def test_unreachable_ones_are_beyond() -> None:
+def test_unreachable_problems_are_out_of_reach() -> None:
     for name in (*ARMS, "balls"):
         model = robot(name)
         problems = some("unreachable", name)
@@ -147,7 +147,7 @@ def test_a_warm_path_takes_small_steps(name: str) -> None:
         before = target
 
 
-def test_a_robot_without_such_problems_says_why() -> None:
+def test_a_robot_without_such_problems_gives_a_reason() -> None:
     chain = make_chain(3)
     figure = load_robot("humanoid")
     for arm, kind in ((chain, "limits"), (figure, "unreachable"), (figure, "singular")):
@@ -155,7 +155,7 @@ def test_a_robot_without_such_problems_says_why() -> None:
         assert len(problems) == 0 and problems.reason
 
 
-def test_a_judge_is_not_fooled() -> None:
+def test_wrong_solutions_are_detected() -> None:
     arm = robot("puma560")
     q = arm.home
     np.testing.assert_allclose(arm.measure(q).matrix, mujoco_pose(arm, q), atol=1e-14)

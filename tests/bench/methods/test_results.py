@@ -20,12 +20,12 @@ def cell(results: Results, solver: str, robot: str, name: str) -> Cell:
     return found
 
 
-def test_the_file_reads_back_as_it_was(results: Results) -> None:
+def test_the_file_is_read_back_equal(results: Results) -> None:
     assert results.complete and len(results.cells) == 3 * 2 * 3
     assert Results.model_validate_json(json_text(results.model_dump(mode="json"))) == results
 
 
-def test_figures_belong_together(results: Results) -> None:
+def test_numbers_of_a_cell_are_consistent(results: Results) -> None:
     for one in results.cells:
         lists = (
             one.success,
@@ -52,14 +52,14 @@ def test_figures_belong_together(results: Results) -> None:
     assert warm.rate == 1.0 and warm.jumps == 0 and 0 < warm.largest_step < 0.2
 
 
-def test_curves_close_in(results: Results) -> None:
+def test_errors_of_curves_fall(results: Results) -> None:
     curves = {(c.solver, c.robot): c for c in results.curves}
     assert ("analytic", "puma560") not in curves  # a formula has no steps
     lm = curves["lm", "puma560"].error
     assert lm[0] > 1e-2 and lm[-1] <= 1e-4
 
 
-def test_plots_show_something(folder: Path) -> None:
+def test_plots_have_coloured_lines(folder: Path) -> None:
     names = {file.name for file in folder.glob("*.png")}
     assert names == {
         f"{kind}-{robot}.png"
@@ -87,7 +87,7 @@ def test_growth_is_drawn(results: Results) -> None:
     assert picture is not None and (np.ptp(picture.astype(int), axis=2) > 60).sum() > 300
 
 
-def test_without_matplotlib_it_says_what_to_install(
+def test_without_matplotlib_the_error_has_the_install_command(
     results: Results, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)

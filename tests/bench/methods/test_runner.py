@@ -1,4 +1,4 @@
-"""The runner believes MuJoCo and not the solver, and keeps what it has measured."""
+"""The runner measures success by MuJoCo, and keeps its measurements when it is interrupted."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SETTINGS = Settings(
 
 @dataclass(frozen=True)
 class Scripted(Solver):
-    """Says that it converged, whatever it returns: the next of some joint angles."""
+    """Returns given joint angles in sequence, with the status CONVERGED."""
 
     solutions: tuple[tuple[float, ...], ...] = ()
     name: ClassVar[str] = "scripted"
@@ -52,11 +52,11 @@ def bench(kind: str, solutions: np.ndarray, count: int = 12) -> Bench:
     made = prepare(
         Scripted(tuple(map(tuple, solutions))), arm, make_set(kind, arm, count), SETTINGS
     )
-    calls.clear()  # what warmed up does not count
+    calls.clear()  # the warm-up does not count
     return made
 
 
-def test_a_solver_that_lies_is_found_out() -> None:
+def test_a_false_converged_status_is_detected() -> None:
     problems = make_set("cold", load_robot("puma560"), 12)
     right = problems.witnesses.copy()
     wrong = right.copy()
@@ -73,7 +73,7 @@ def test_a_solver_that_lies_is_found_out() -> None:
         assert all((start == load_robot("puma560").home).all() for start in calls)
 
 
-def test_tracking_starts_at_the_last_answer_and_counts_jumps() -> None:
+def test_tracking_starts_at_the_last_solution_and_counts_jumps() -> None:
     problems = make_set("warm", load_robot("puma560"), 12)
     solutions = problems.witnesses.copy()
     solutions[4] += 0.5  # an error: the next start is back on the path
@@ -90,7 +90,7 @@ def test_tracking_starts_at_the_last_answer_and_counts_jumps() -> None:
     assert one.cell.largest_step == pytest.approx(np.pi, abs=0.1)
 
 
-def test_time_that_is_up_leaves_at_least_ten() -> None:
+def test_at_least_ten_problems_are_run_when_time_is_over() -> None:
     one = bench("cold", make_set("cold", load_robot("puma560"), 40).witnesses, 40)
     one.run(SETTINGS.model_copy(update={"seconds": 0.0}))
     assert one.cell.count == 10 and one.cell.asked == 40 and one.cell.rate == 1.0
@@ -117,7 +117,7 @@ def test_an_interrupted_run_keeps_whole_rows() -> None:
     assert {len(x) for x in lists} == {6}
 
 
-def test_a_method_without_poses_is_asked_for_positions() -> None:
+def test_a_method_without_poses_gets_positions() -> None:
     arm = load_robot("puma560")
     from robot_ik.solvers import make_solver
 

@@ -17,13 +17,14 @@ from aho_update import DIAGONAL, Array, Chain, Frame, Update, X, Y, Z, follow, r
 
 @dataclass(eq=False)
 class Course:
-    """A start and the goals that follow, for one of his tests.
+    """A start and the goals of one of the tests.
 
     Attributes:
-        link: Axis of the links when all joints stand at zero.
+        link: Axis of the links when all joints are at zero.
         start: Local rotations of the joints.
-        goals: A pose a frame; ``at``: degrees (of lines: length units) gone.
-        oriented: Whether orientations are asked for.
+        at: Angle of each goal in degrees, or its distance in length units for lines.
+        goals: One pose for each frame.
+        oriented: Whether the goals have an orientation.
     """
 
     number: int
@@ -34,7 +35,7 @@ class Course:
     oriented: bool = False
 
     def lost_at(self, update: Update) -> float | None:
-        """How far the goal had gone when this version of the update lost it; None: never."""
+        """Return the place at which this version of the update lost the goal; None: never."""
         lost, _ = follow(self.chain, self.goals, update, oriented=self.oriented)
         return None if lost is None else float(self.at[lost])
 
@@ -77,8 +78,8 @@ def arc_joint_angle(links: int, chord: float) -> float:
     if chord > links + 1e-9:
         raise ValueError(f"{links} links of 1 m cannot span {chord:.6g} m")
     low = 0.0
-    high = 2.0 * math.pi / links  # straight … closed to a polygon
-    for _ in range(54):  # as many halvings as a double has bits, and one
+    high = 2.0 * math.pi / links  # from a straight chain to a closed polygon
+    for _ in range(54):  # one more halving than a double has bits
         middle = 0.5 * (low + high)
         spanned = (
             math.sin(0.5 * links * middle) / math.sin(0.5 * middle)
@@ -102,7 +103,7 @@ def circle(
     still: bool = False,
     middle: Array | None = None,
 ) -> Course:
-    """A goal that goes round ``axis`` once; its orientation turns ``spin`` times as fast."""
+    """A goal on one circle about ``axis``. Its orientation rotates ``spin`` times as fast."""
     rotations = bent(joints, link, start, axis if normal is None else normal)
     tip = np.linalg.multi_dot([np.eye(3), *rotations])
     at = np.arange(0.0, 360.0 + 0.5 * step, step)

@@ -1,4 +1,4 @@
-"""Where A00's update loses the goal, and why.
+"""Print at which frames A00's update loses the goal, by the axes that it uses.
 
 python tests/bench/theses/aho_report.py            the tables of docs/theory/experiments.md
 python tests/bench/theses/aho_report.py FILE.png   and the picture (needs matplotlib)
@@ -17,7 +17,7 @@ def _cell(lost: float | None) -> str:
 
 
 def main() -> None:
-    """Prints the tables; draws the picture if a file is named."""
+    """Print the tables, and draw the picture if a file is named."""
     courses = [course(number) for number in range(1, 14)]
     print("Where the goal is lost, by axes of J's columns and axes of the increments.")
     print("Degrees; tests 11 and 12: units of length.")
@@ -44,7 +44,7 @@ def main() -> None:
 
 
 def draw(six: Course, file: str) -> None:
-    """Distance from the goal in test 6, axes mixed and alike."""
+    """Draw the distance from the goal in test 6, for mixed and for equal axes."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8.0, 3.8), dpi=110, layout="constrained")
@@ -62,7 +62,7 @@ def draw(six: Course, file: str) -> None:
                 f"lost at {at:.0f}°", (at, distances[-1]), (8, 4), textcoords="offset points"
             )
     axes.axhline(CLOSE, color="#9a9a9a", lw=0.8, ls="--")
-    axes.text(60.0, CLOSE, "his tolerance", color="#6a6a6a", va="bottom", ha="right")
+    axes.text(60.0, CLOSE, "tolerance of the thesis", color="#6a6a6a", va="bottom", ha="right")
     axes.set(
         xlim=(0.0, 60.0),
         ylim=(0.0, 0.75),

@@ -1,13 +1,14 @@
-"""A00's Jacobian update, written again from the thesis, to find out why it lost the goal.
+"""A00's Jacobian update, rewritten from the thesis to find the reason for its lost goals.
 
 The thesis defines: ball joints with Euler increments; Δq = Jᵀ(JJᵀ)⁻¹e; a step that does not end
 within 0.5 length units of its subgoal is undone and the way halved, with at most 16 iterations.
 
-It does not define, so this file chooses: links of 1 unit, circles of half the reach, 0.5 rad for
-orientations, the starts (``aho_courses.py``), and no step while the goal is within tolerance.
+It does not define the following values, so this file chooses them: links of 1 unit, circles of half
+the reach, 0.5 rad for orientations, the starts (``aho_courses.py``), and no step while the goal is
+within tolerance.
 
-``Update`` has the open question: the axes of the columns of J, and the axes about which the
-increments are applied.
+The thesis does not state the axes of the columns of J, and the axes about which the increments are
+applied. They are fields of ``Update``.
 """
 
 from __future__ import annotations
@@ -54,13 +55,13 @@ def euler_angles(rotation: Array) -> Array:
 
 @dataclass(frozen=True)
 class Update:
-    """One version of his update.
+    """One version of the update.
 
     Attributes:
         columns: Axes of J's columns: ``world``, ``parent``, ``body`` (those of the joint), or
             ``euler`` (those of the current Euler angles).
-        applied: Axes about which the increments turn the joint: ``world``, ``parent``, ``body``; or
-            ``angles``: they are added to its Euler angles.
+        applied: Axes about which the increments rotate the joint: ``world``, ``parent``, ``body``;
+            or ``angles``: they are added to its Euler angles.
         iterations: Largest number of iterations of a frame.
         exact: Increments as one rotation vector, not one Euler angle after the other.
         svd: Singular values below 1e-4 of the largest are left out, in place of (JJᵀ)⁻¹.
@@ -131,7 +132,7 @@ class Chain:
         return Chain(self.link, rotations, angles)
 
     def off(self, goal: Frame, oriented: bool) -> Array:
-        """e: what is wanted less what is, (3,) or (6,)."""
+        """Return the error e, goal minus current pose, (3,) or (6,)."""
         worlds, _, tip = self.frames()
         if not oriented:
             return goal[0] - tip
@@ -139,12 +140,12 @@ class Chain:
 
 
 def close(e: Array) -> bool:
-    """Within his tolerance."""
+    """Return whether an error is within the tolerance of the thesis."""
     return bool(np.linalg.norm(e[:3]) <= CLOSE and np.linalg.norm(e[3:]) <= CLOSE)
 
 
 def step_of(jacobian: Array, e: Array, svd: bool) -> Array:
-    """Δq = J⁺e.  Raises LinAlgError where JJᵀ has no inverse."""
+    """Δq = J⁺e. Raises LinAlgError where JJᵀ has no inverse."""
     if svd:
         return np.linalg.pinv(jacobian, rcond=1e-4) @ e
     square = jacobian @ jacobian.T
@@ -154,7 +155,7 @@ def step_of(jacobian: Array, e: Array, svd: bool) -> Array:
 
 
 def reach(chain: Chain, update: Update, goal: Frame, oriented: bool) -> tuple[Chain, bool]:
-    """One frame: steps towards the goal, halving the way where a step does not land."""
+    """Take the steps of one frame. A step that ends far from its subgoal is halved."""
     share = 1.0
     if close(chain.off(goal, oriented)):
         return chain, True
@@ -192,7 +193,7 @@ def follow(
 MIXED = Update("world", "body")
 """Loses the goals as in the thesis: columns about world axes, increments about joint axes."""
 ALIKE = Update("world", "world")
-"""One thing changed: the same axes for both."""
+"""The same axes for both. This is the only change."""
 
 UPDATES = (
     ALIKE,

@@ -1,4 +1,4 @@
-"""A00's courses: reachable goals that move as in the thesis, judged by MuJoCo."""
+"""A00's courses: reachable goals that move as in the thesis, checked by MuJoCo."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def positions(course: Course) -> np.ndarray:
         (13, 2, True),
     ],
 )
-def test_chains_and_kinds_are_his(
+def test_chains_and_kinds_are_those_of_the_thesis(
     number: int, joints: int, oriented: bool, courses: dict[int, Course]
 ) -> None:
     course = courses[number]
@@ -69,7 +69,7 @@ def test_chains_and_kinds_are_his(
         (9, DIAGONAL, 5.0),
     ],
 )
-def test_circles_go_round_the_origin(
+def test_circles_are_about_the_origin(
     number: int, normal: Any, step: float, courses: dict[int, Course]
 ) -> None:
     course = courses[number]
@@ -82,7 +82,7 @@ def test_circles_go_round_the_origin(
     assert np.linalg.norm(points[0]) == pytest.approx(0.5 * len(course.robot.joints))
 
 
-def test_orientations_turn_as_stated(courses: dict[int, Course]) -> None:
+def test_orientations_rotate_as_stated(courses: dict[int, Course]) -> None:
     for number, share, axis in ((3, 0.25, (0, 0, 1)), (7, 1.0, DIAGONAL), (8, 1.0, DIAGONAL)):
         orientations = rotations(courses[number])
         step = np.radians(courses[number].at[1]) * share
@@ -101,13 +101,13 @@ def test_lines_are_straight_and_random_by_seed(courses: dict[int, Course]) -> No
     points = positions(courses[12])
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     assert steps.max() < 0.02 + 1e-9
-    assert np.sum(steps < 0.0199) <= 9  # only round the corners
+    assert np.sum(steps < 0.0199) <= 9  # only at the corners
     other = positions(make_course(12, seed=1, frames=2))
     assert np.linalg.norm(other[0] - points[0]) > 0.01
 
 
-def test_two_balls_never_have_six_freedoms() -> None:
-    """Why test 13 could not be solved with an inverse: J is square and of rank 5 everywhere."""
+def test_the_jacobian_of_two_balls_has_rank_five() -> None:
+    """J is square and has rank 5 everywhere, so test 13 cannot be solved with an inverse."""
     chain = rik.make_chain(2)
     rng = np.random.default_rng(3)
     for _ in range(50):
@@ -118,7 +118,7 @@ def test_two_balls_never_have_six_freedoms() -> None:
 # The job
 
 
-def test_what_must_pass_passes_on_the_first_frames_of_every_course() -> None:
+def test_required_methods_pass_the_first_frames_of_every_course() -> None:
     names = [name for name in a00.MUST_PASS if name in SOLVERS]
     assert {"lm", "dls", "auto"} <= set(names)
     report = a00.run_a00(a00.ask_a00(solvers=names, frames=FEW))
@@ -143,15 +143,15 @@ def slow_problem(*args: Any, **options: Any) -> Problem:
     return Problem(*args, **options, budget=Budget(restarts=0), max_step=1e-4)
 
 
-def test_a_loss_is_counted_and_placed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lost_goal_is_counted_with_its_place(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(a00, "Problem", slow_problem)
     report = a00.run_a00(a00.ask_a00([6], ["dls"], frames=6))
     assert report.complete and not report.passed and report.failures == [("dls", 6)]
     assert report.tracks["dls", 6].lost == 0 and report.lost_at("dls", 6) == "0°"
 
 
-def test_the_solver_is_not_believed() -> None:
-    """A method that says CONVERGED and lies is found out by MuJoCo's forward pass."""
+def test_a_false_status_is_detected_by_mujoco() -> None:
+    """MuJoCo's forward pass detects a wrong solution with the status CONVERGED."""
     course = make_course(4, frames=5)
 
     class Liar(Problem):
@@ -167,7 +167,7 @@ def test_the_solver_is_not_believed() -> None:
     assert found.solved == 0 and found.lost == 0
 
 
-def test_an_interruption_keeps_what_is_done() -> None:
+def test_an_interruption_keeps_finished_results() -> None:
     report = a00.ask_a00([4, 5], ["lm"], frames=5)
     seen = []
 
@@ -182,7 +182,7 @@ def test_an_interruption_keeps_what_is_done() -> None:
     assert seen == sorted(seen) and max(seen) == pytest.approx(0.5)
 
 
-def test_progress_begins_at_none_and_ends_at_all() -> None:
+def test_progress_begins_at_zero_and_ends_at_one() -> None:
     reported: list[tuple[str, float]] = []
     a00.run_a00(
         a00.ask_a00([4, 5], ["lm"], frames=5), lambda phase, share: reported.append((phase, share))
@@ -195,7 +195,7 @@ def test_progress_begins_at_none_and_ends_at_all() -> None:
     ]
 
 
-def test_what_is_not_there_is_said() -> None:
+def test_unknown_tests_and_methods_are_refused() -> None:
     with pytest.raises(OptionError, match="14"):
         a00.ask_a00([14])
     with pytest.raises(UnknownSolverError, match="lm"):

@@ -1,4 +1,4 @@
-"""Why A00 lost the goals: a copy of its update loses them, and with one change it does not."""
+"""A copy of A00's update loses the goals as in the thesis. With equal axes it does not."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 
 @pytest.fixture(scope="module", autouse=True)
-def beside() -> Any:
-    """The copy lies beside this file; it is nobody's package."""
+def import_copy() -> Any:
+    """Make the copy, which is beside this file, importable."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(Path(__file__).parent)
         yield
@@ -30,18 +30,18 @@ def courses() -> Any:
 
 
 @pytest.mark.parametrize("number", range(1, 6))
-def test_planes_hide_the_fault(number: int, update: Any, courses: Any) -> None:
+def test_goals_in_a_plane_do_not_show_the_error(number: int, update: Any, courses: Any) -> None:
     course = courses.course(number)
     assert course.lost_at(update.MIXED) is None
     assert course.lost_at(update.ALIKE) is None
 
 
-def test_test_6_is_lost_near_20_degrees_and_only_by_the_axes(update: Any, courses: Any) -> None:
+def test_test_6_is_lost_near_20_degrees_because_of_the_axes(update: Any, courses: Any) -> None:
     six = courses.course(6)
     lost = six.lost_at(update.MIXED)
     assert 18.0 < lost < 25.0
     assert six.lost_at(update.ALIKE) is None
-    # Nothing else that could be blamed changes it.
+    # The other possible causes do not change the result.
     for other in ({"exact": True}, {"svd": True}):
         assert six.lost_at(update.Update("world", "body", **other)) == pytest.approx(lost, abs=2.0)
     assert six.lost_at(update.Update("world", "body", iterations=1000)) is not None
@@ -65,7 +65,7 @@ def test_the_other_losses_have_the_same_cause(number: int, update: Any, courses:
         assert course.lost_at(update.Update(columns, columns)) is None, columns
 
 
-def test_test_13_needs_more_than_an_inverse(update: Any, courses: Any) -> None:
+def test_test_13_needs_a_pseudoinverse(update: Any, courses: Any) -> None:
     square = courses.course(13)
     assert square.lost_at(update.ALIKE) is not None
     assert square.lost_at(update.Update("world", "body", svd=True)) is not None
@@ -73,8 +73,8 @@ def test_test_13_needs_more_than_an_inverse(update: Any, courses: Any) -> None:
 
 
 @pytest.mark.parametrize("axes", ["world", "parent", "body", "euler"])
-def test_the_copy_is_right_where_axes_are_alike(axes: str, update: Any, courses: Any) -> None:
-    """J against differences of the copy's own motion: the fault is nowhere but in the mixture."""
+def test_the_copy_is_correct_for_equal_axes(axes: str, update: Any, courses: Any) -> None:
+    """J equals finite differences of the copy's motion, so only the mixture of axes is wrong."""
     rng = np.random.default_rng(5)
     rotations = [Rotation.random(rng=rng).as_matrix() for _ in range(3)]
     chain = update.Chain(update.Z, rotations)
@@ -95,8 +95,8 @@ def test_the_copy_is_right_where_axes_are_alike(axes: str, update: Any, courses:
         )
 
 
-def test_other_starts_lose_it_elsewhere_or_later(update: Any, courses: Any) -> None:
-    """The start, which the thesis lacks, decides where the goal is lost; with equal axes never."""
+def test_the_place_of_the_loss_depends_on_the_start(update: Any, courses: Any) -> None:
+    """The place of the loss depends on the start. With equal axes the goal is never lost."""
     starts = [courses.start_of_six(name, step=1.0) for name in courses.STARTS]
     lost = [start.lost_at(update.MIXED) for start in starts]
     assert all(at is not None for at in lost) and min(lost) < 15.0 and max(lost) > 100.0

@@ -24,7 +24,7 @@ def report() -> s12.S12Report:
     return s12.run_s12(s12.S12Report(frames=FEW))
 
 
-def test_lm_and_auto_reach_everything(report: s12.S12Report) -> None:
+def test_lm_and_auto_reach_all_targets(report: s12.S12Report) -> None:
     assert report.passed, report.failures
     for case in table_4_1.CASES:
         for name in s12.MUST_PASS:
@@ -57,7 +57,9 @@ def test_witnesses_are_inside_the_limits_and_targets_move(case: table_4_1.ArmCas
 @pytest.mark.parametrize(
     ("name", "case"), [(n, c) for n in table_4_1.METHODS[1:] for c in (table_4_1.CASES[1],)]
 )
-def test_his_parameters_make_his_step(name: str, case: table_4_1.ArmCase) -> None:
+def test_a_step_with_the_parameters_of_the_thesis_equals_its_formula(
+    name: str, case: table_4_1.ArmCase
+) -> None:
     """One step of each Jacobian method against the formulas of the thesis, by NumPy and MuJoCo."""
     arm = table_4_1.make_arm(case.limited)
     rng = np.random.default_rng(8)
@@ -92,7 +94,7 @@ def test_his_parameters_make_his_step(name: str, case: table_4_1.ArmCase) -> Non
     np.testing.assert_allclose(step, wanted, rtol=1e-6, atol=1e-12)
 
 
-def test_his_parameters_are_a_budget_without_restarts(report: s12.S12Report) -> None:
+def test_the_parameters_of_the_thesis_allow_no_restarts(report: s12.S12Report) -> None:
     for (variant, name, number), track in report.tracks.items():
         if variant != "best":
             assert track.iterations <= table_4_1.ITERATIONS and track.restarts == 0, (
@@ -108,7 +110,7 @@ def test_his_parameters_are_a_budget_without_restarts(report: s12.S12Report) -> 
     assert s12.s12_cells(report)["same", "ccd", 2]["n"] == 7 * sweeps.iterations
 
 
-def test_his_table_is_quoted_whole(report: s12.S12Report) -> None:
+def test_the_table_of_the_thesis_is_complete(report: s12.S12Report) -> None:
     cells = s12.s12_cells(report)
     assert sum(column == "S12" for column, _, _ in cells) == 16
     assert cells["S12", "pseudoinverse", 4] == {"milliseconds": 51.9, "n": 88, "solved": 0.29}
@@ -129,7 +131,7 @@ def test_without_matplotlib_the_picture_is_refused(monkeypatch: pytest.MonkeyPat
         s12.s12_picture(s12.S12Report())
 
 
-def test_one_error_fails_the_whole(report: s12.S12Report) -> None:
+def test_one_missed_target_fails_the_report(report: s12.S12Report) -> None:
     worse = dict(report.tracks)
     worse["best", "lm", 4] = dataclasses.replace(worse["best", "lm", 4], solved=FEW - 1)
     assert dataclasses.replace(report, tracks=worse).failures == [("lm", 4)]

@@ -1,4 +1,4 @@
-"""The command line of the camera's benchmark: one cheap row, its file, wrong names, and Ctrl-C."""
+"""The command line of the camera's benchmark: a fast row, its file, wrong names, and Ctrl-C."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from benchmarks.quantity_table import show_quantities
 from robot_ik.errors import CameraError
 
 
-def test_one_cheap_row_is_printed_beside_what_is_wanted_and_written(
+def test_a_row_is_printed_with_its_limits_and_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "figures.json"
     assert main(["--quick", "--rows", "prediction", "--json", str(file)]) == 0
     out = capsys.readouterr().out
     (late,) = [line for line in out.splitlines() if "66 ms ago, predicted" in line]
-    assert "≤ 6.5 mm" in late and "pass" in late and "3 of 3 as wanted" in out
+    assert "≤ 6.5 mm" in late and "pass" in late and "3 of 3 within limits" in out
     facts = json.loads(file.read_text(encoding="utf-8"))
     assert (
         facts["complete"]
@@ -32,17 +32,17 @@ def test_one_cheap_row_is_printed_beside_what_is_wanted_and_written(
         and facts["machine"]["cores"] > 0
     )
     rows = facts["rows"]["prediction"]["figures"]
-    (predicted,) = [one for one in rows if one["quantity"].endswith("ago, predicted, RMS")]
+    (predicted,) = [row for row in rows if row["quantity"].endswith("ago, predicted, RMS")]
     assert predicted["passed"] and 0.0 < predicted["value"] < 6.5 and predicted["unit"] == "mm"
 
 
-def test_an_unknown_row_names_the_close_ones(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_row_gives_a_suggestion(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--rows", "predicton"]) == 2
     reported = capsys.readouterr().err
     assert "did you mean 'prediction'" in reported and "Traceback" not in reported
 
 
-def test_the_row_of_real_pictures_asks_for_them(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_row_of_real_pictures_requires_a_folder(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--rows", "photographs"]) == 2
     assert "--photographs" in capsys.readouterr().err
     assert main(["--rows", "photographs", "--photographs", "not/there"]) == 2
@@ -67,7 +67,7 @@ def impossible(_: Effort) -> Iterator[Quantity]:
     ("function", "words"),
     [("failing", "FAIL"), ("empty", "it gave no figure"), ("impossible", "no camera here")],
 )
-def test_what_failed_or_was_not_measured_says_so_and_fails(
+def test_failed_and_unmeasured_rows_are_reported_and_fail(
     function: str,
     words: str,
     quick: list[str],
@@ -93,7 +93,7 @@ def fine(_: Effort) -> Iterator[Quantity]:
     yield Quantity("fine", 1.0, "mm", 2.0)
 
 
-def test_real_pictures_that_are_not_there_are_not_left_out_in_silence(
+def test_missing_real_pictures_are_reported(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (row,) = [row for row in rows.ROWS if row.name == "photographs"]
@@ -110,7 +110,7 @@ def interrupted(_: Effort) -> Iterator[Quantity]:
 
 
 @pytest.mark.parametrize(("function", "code"), [("failing", 1), ("interrupted", 130)])
-def test_what_is_missed_or_interrupted_is_reported(
+def test_failed_and_interrupted_runs_are_reported(
     function: str,
     code: int,
     tmp_path: Path,
@@ -123,9 +123,9 @@ def test_what_is_missed_or_interrupted_is_reported(
     assert main(["--json", str(file)]) == code
     out = capsys.readouterr().out
     if code == 1:
-        assert "FAIL" in out and "0 of 1 as wanted" in out
+        assert "FAIL" in out and "0 of 1 within limits" in out
     else:
-        assert "1 of 1 as wanted; not all measured" in out
+        assert "1 of 1 within limits; not all measured" in out
     assert json.loads(file.read_text(encoding="utf-8"))["complete"] is (code == 1)
 
 
@@ -143,4 +143,4 @@ def test_a_table_names_a_row_once(capsys: pytest.CaptureFixture[str]) -> None:
         ["speed", "1.2"],
         ["jump", "balls"],
     ]
-    assert out[4] == "1 of 2 as wanted"
+    assert out[4] == "1 of 2 within limits"

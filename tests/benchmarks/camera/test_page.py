@@ -27,7 +27,7 @@ def pages() -> types.ModuleType:
     return module
 
 
-def test_the_pages_say_what_was_measured(pages: types.ModuleType) -> None:
+def test_the_pages_contain_the_measured_values(pages: types.ModuleType) -> None:
     used = set()
     for page in pages.PAGES:
         text = page.read_text(encoding="utf-8")
@@ -37,7 +37,7 @@ def test_the_pages_say_what_was_measured(pages: types.ModuleType) -> None:
     assert used == set(pages.TABLES)
 
 
-def test_the_overlays_error_stands_in_the_generated_tables_only(pages: types.ModuleType) -> None:
+def test_the_overlays_error_is_only_in_the_generated_tables(pages: types.ModuleType) -> None:
     for page in pages.PAGES:
         reported = pages.PLACE.sub("", page.read_text(encoding="utf-8"))
         assert not re.search(r"\b0\.\d+ px\b.*(overlay|robot on a board)", reported), page.name
@@ -52,10 +52,12 @@ def test_rows_that_were_not_measured_are_named_on_the_page(pages: types.ModuleTy
             assert f"| **{row.about}** | not measured | |" in page
 
 
-@pytest.mark.soak  # it measures them anew
-def test_the_remedies_are_those_of_today() -> None:
+@pytest.mark.soak  # it measures the rows again
+def test_the_remedies_are_the_current_ones() -> None:
     data = json.loads((DOCS / "camera.json").read_text(encoding="utf-8"))
-    reported = {one["quantity"]: one["value"] for one in data["rows"]["latency"]["figures"]}
-    found = {one.quantity: one.value for one in latency(Effort())}
+    reported = {
+        figure["quantity"]: figure["value"] for figure in data["rows"]["latency"]["figures"]
+    }
+    found = {quantity.quantity: quantity.value for quantity in latency(Effort())}
     assert list(found) == list(reported)
     assert list(found.values()) == pytest.approx(list(reported.values()), rel=0.02, abs=0.02)

@@ -15,10 +15,10 @@ from benchmarks.quantity import Quantity
 
 
 def figures(of: object, **effort: object) -> dict[str, Quantity]:
-    return {one.quantity: one for one in of(Effort(quick=True, **effort))}  # type: ignore[operator]
+    return {quantity.quantity: quantity for quantity in of(Effort(quick=True, **effort))}  # type: ignore[operator]
 
 
-def test_rows_have_names_of_their_own_and_functions_that_are_there() -> None:
+def test_rows_have_unique_names_and_existing_functions() -> None:
     assert len({row.name for row in ROWS}) == len(ROWS)
     for row in ROWS:
         module, _, name = row.function.partition(":")
@@ -39,41 +39,43 @@ def test_rows_have_names_of_their_own_and_functions_that_are_there() -> None:
         (float("nan"), {"most": 1.0, "missing": "no camera"}, None, "≤ 1 mm"),
     ],
 )
-def test_a_figure_passes_on_the_right_side(
+def test_a_quantity_passes_within_its_limits(
     value: float, bounds: dict[str, Any], passed: bool | None, wanted: str
 ) -> None:
-    one = Quantity("x", value, "mm", **bounds)
-    assert one.passed is passed and one.wanted_text == wanted
+    quantity = Quantity("x", value, "mm", **bounds)
+    assert quantity.passed is passed and quantity.wanted_text == wanted
 
 
-def test_clutter_gives_no_find_and_a_tracker_that_believes_all_is_caught(
+def test_clutter_gives_no_detection_and_a_detector_of_everything_fails(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    assert all(one.value == 0 for one in figures(accuracy.clutter).values())
+    assert all(quantity.value == 0 for quantity in figures(accuracy.clutter).values())
     (view,) = accuracy.standard_set(0.3, 1, seed=2, marker_id=7, dictionary="DICT_5X5_50")
     real = accuracy.find_corners
 
-    def believing(_frame: object, *rest: Any) -> object:
+    def find_everything(_frame: object, *rest: Any) -> object:
         return real(accuracy.frame_of(view.image), *rest)
 
-    monkeypatch.setattr(accuracy, "find_corners", believing)
+    monkeypatch.setattr(accuracy, "find_corners", find_everything)
     found = list(figures(accuracy.clutter).values())
-    assert [one.passed for one in found] == [False]
+    assert [quantity.passed for quantity in found] == [False]
 
 
-def test_boards_are_seen_as_well_as_wanted_and_half_hidden_ones_too() -> None:
+def test_half_hidden_boards_are_measured_within_the_limits() -> None:
     found = figures(accuracy.occlusion)
-    assert len(found) == 4 and all(one.passed in (True, None) for one in found.values()), found
+    assert len(found) == 4 and all(
+        quantity.passed in (True, None) for quantity in found.values()
+    ), found
 
 
 def test_drawings_are_where_opencv_projects_them_and_a_shift_would_be_seen() -> None:
     found = figures(accuracy.projection)
-    assert len(found) == 4 and all(one.passed for one in found.values()), found
-    # A painter that takes the middle of a pixel for its corner.
+    assert len(found) == 4 and all(quantity.passed for quantity in found.values()), found
+    # A painter with an error of half a pixel.
     shifted = replace(PINHOLE, cx=PINHOLE.cx + 0.5)
     assert projection_errors(PINHOLE, drawn_through=shifted).rms > 0.4
 
 
-def test_handeye_comes_near_and_says_how_near() -> None:
+def test_handeye_is_within_its_limits() -> None:
     found = figures(accuracy.handeye)
-    assert all(one.passed for one in found.values()), found
+    assert all(quantity.passed for quantity in found.values()), found

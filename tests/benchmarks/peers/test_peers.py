@@ -1,4 +1,4 @@
-"""The comparison with other libraries: one robot for all, MuJoCo judges, a poor peer fails."""
+"""The comparison with other libraries: one robot for all, MuJoCo judges, a wrong library fails."""
 
 from __future__ import annotations
 
@@ -103,18 +103,18 @@ def test_every_form_of_a_robot_is_the_same_robot(name: str, tmp_path: Path) -> N
         for joint, angle in zip(task.joints, q[base:], strict=True):
             data.joint(joint).qpos[:] = angle
         mujoco.mj_kinematics(read, data)
-        there = [robot.measure(q, site).matrix for site in task.sites]
-        if task.free_base:  # a URDF has no base that floats: seen from the body that does
+        expected = [robot.measure(q, site).matrix for site in task.sites]
+        if task.free_base:  # a URDF has no floating base, so poses are relative to that body
             root = mujoco.MjData(plain)
             root.qpos[:] = q
             mujoco.mj_kinematics(plain, root)
             rotation = root.xmat[1].reshape(3, 3)
             position = root.xpos[1]
-            there = [
+            expected = [
                 np.block([[rotation.T @ t[:3, :3], rotation.T @ (t[:3, 3:] - position[:, None])]])
-                for t in there
+                for t in expected
             ]
-        for site, pose in zip(task.sites, there, strict=True):
+        for site, pose in zip(task.sites, expected, strict=True):
             np.testing.assert_allclose(data.body(site).xpos, np.asarray(pose)[:3, 3], atol=1e-9)
         if not task.free_base:
             pose = task.frames[0]
@@ -122,14 +122,14 @@ def test_every_form_of_a_robot_is_the_same_robot(name: str, tmp_path: Path) -> N
                 rotation = np.eye(4)
                 rotation[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
                 pose = pose @ rotation @ frame
-            np.testing.assert_allclose(pose, there[0], atol=1e-12)
+            np.testing.assert_allclose(pose, expected[0], atol=1e-12)
     if not task.free_base:
         np.testing.assert_allclose(frames_of(plain), task.frames)
         assert urdf_of(plain) == (folder / "model.urdf").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("pitch", [0.3, np.pi / 2, -np.pi / 2])
-def test_roll_pitch_yaw_is_a_urdfs(pitch: float) -> None:
+def test_roll_pitch_yaw_follows_the_urdf_convention(pitch: float) -> None:
     def about(axis: int, angle: float) -> np.ndarray:
         quat = np.zeros(4)
         mujoco.mju_axisAngle2Quat(quat, np.eye(3)[axis], angle)
@@ -149,30 +149,34 @@ def test_roll_pitch_yaw_is_a_urdfs(pitch: float) -> None:
 @pytest.mark.parametrize(
     "robots", [["puma560"], pytest.param(["puma560", "humanoid"], marks=pytest.mark.soak)]
 )
-def test_ours_solves_all_and_the_results_say_with_what(robots: list[str], tmp_path: Path) -> None:
+def test_robot_ik_solves_all_and_the_results_contain_the_versions(
+    robots: list[str], tmp_path: Path
+) -> None:
     out = tmp_path / "results"
     arguments = ["--out", str(out), "--count", str(COUNT), "--rounds", "2", "--seed", "5"]
     names = ["robot_ik_analytic"] + ["robot_ik", "robot_ik_lm"] * ("humanoid" in robots)
     assert main(["run", *arguments, "--libraries", *names, "--robots", *robots]) == 0
-    said = json.loads((out / "peers.json").read_text(encoding="utf-8"))
-    assert said["seed"] == 5 and said["rounds"] == 2 and said["machine"]["when"]
-    assert set(said["libraries"]) == set(names) and not said["missing"] and not said["failed"]
+    results = json.loads((out / "peers.json").read_text(encoding="utf-8"))
+    assert results["seed"] == 5 and results["rounds"] == 2 and results["machine"]["when"]
+    assert (
+        set(results["libraries"]) == set(names) and not results["missing"] and not results["failed"]
+    )
     for name in names:
-        one = said["libraries"][name]
-        assert set(one["versions"]) == {"robot-ik-testbed", "mujoco", "numba"}
-        assert len(one["calibration_us"]) >= 2
+        library = results["libraries"][name]
+        assert set(library["versions"]) == {"robot-ik-testbed", "mujoco", "numba"}
+        assert len(library["calibration_us"]) >= 2
         for kind in ("cold", "warm", "wrist", "elbow"):
-            cell = one["robots"]["puma560"][kind]
+            cell = library["robots"]["puma560"][kind]
             assert cell["exact"] == 1.0 and cell["n"] == 2 * COUNT and cell["median_us"] > 0.0, (
                 name,
                 kind,
             )
-        assert one["robots"]["puma560"]["unreachable"]["success"] == 0.0
-    assert set(said["libraries"]["robot_ik_analytic"]["robots"]) == {"puma560"}, (
+        assert library["robots"]["puma560"]["unreachable"]["success"] == 0.0
+    assert set(results["libraries"]["robot_ik_analytic"]["robots"]) == {"puma560"}, (
         "no closed form for four goals"
     )
     if "humanoid" in robots:
-        assert said["libraries"]["robot_ik_lm"]["robots"]["humanoid"]["cold"]["success"] == 1.0
+        assert results["libraries"]["robot_ik_lm"]["robots"]["humanoid"]["cold"]["success"] == 1.0
 
 
 def test_a_poor_peer_fails_and_one_that_is_missing_is_named(
@@ -186,19 +190,19 @@ def test_a_poor_peer_fails_and_one_that_is_missing_is_named(
     arguments = ["--out", str(out), "--count", str(COUNT), "--rounds", "1", "--robots", "puma560"]
     assert main(["run", *arguments, "--libraries", *names, f"{tmp_path}/none.py:Gone"]) == 1
     reported = capsys.readouterr().err
-    said = json.loads((out / "peers.json").read_text(encoding="utf-8"))
+    results = json.loads((out / "peers.json").read_text(encoding="utf-8"))
 
     def cold(kind: str) -> Any:
-        return said["libraries"][f"{file}:{kind}"]["robots"]["puma560"]["cold"]
+        return results["libraries"][f"{file}:{kind}"]["robots"]["puma560"]["cold"]
 
     assert [cold(kind)["success"] for kind in ("Idle", "Broken", "Beyond")] == [0.0, 0.0, 0.0]
-    assert said["libraries"][f"{file}:Picky"]["robots"] == {}
-    assert "reads another robot" in said["failed"][f"{file}:OtherRobot"]
+    assert results["libraries"][f"{file}:Picky"]["robots"] == {}
+    assert "reads another robot" in results["failed"][f"{file}:OtherRobot"]
     assert (
-        f"{file}:Dead" in said["failed"]
-        and "there is no file" in said["failed"][f"{tmp_path}/none.py:Gone"]
+        f"{file}:Dead" in results["failed"]
+        and "there is no file" in results["failed"][f"{tmp_path}/none.py:Gone"]
     )
-    assert "pip install 'nobody-has-this' 'numpy<2'" in said["missing"][f"{file}:NotHere"]
+    assert "pip install 'nobody-has-this' 'numpy<2'" in results["missing"][f"{file}:NotHere"]
     assert (
         "missing: " in reported
         and "pip install 'nobody-has-this'" in reported
@@ -206,7 +210,7 @@ def test_a_poor_peer_fails_and_one_that_is_missing_is_named(
     )
 
 
-def test_an_unknown_library_is_reported_with_those_that_there_are(
+def test_an_unknown_library_is_reported_with_the_known_names(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as end:
@@ -214,13 +218,13 @@ def test_an_unknown_library_is_reported_with_those_that_there_are(
     assert end.value.code == 2 and "eaikk" in capsys.readouterr().err
 
 
-def test_libraries_say_what_pip_installs_for_them() -> None:
+def test_libraries_name_their_pip_packages() -> None:
     for name, kind in worker.LIBRARIES.items():
         assert isinstance(kind, str) or kind.needs, name
 
 
-def test_rounds_are_put_together_by_success_of_all_and_time_of_the_fastest() -> None:
-    one = {
+def test_rounds_are_merged_by_success_of_all_and_time_of_the_fastest() -> None:
+    first = {
         "n": 10,
         "success": 1.0,
         "exact": 0.5,
@@ -228,7 +232,7 @@ def test_rounds_are_put_together_by_success_of_all_and_time_of_the_fastest() -> 
         "cpu_mean_us": 9.0,
         "cpu_p99_us": 20.0,
     }
-    two = one | {
+    second = first | {
         "n": 30,
         "success": 0.0,
         "exact": 0.5,
@@ -236,7 +240,7 @@ def test_rounds_are_put_together_by_success_of_all_and_time_of_the_fastest() -> 
         "cpu_mean_us": 8.0,
         "jumps": 2,
     }
-    found = merged([one, two])
+    found = merged([first, second])
     assert (
         found["success"] == 0.25
         and found["exact"] == 0.5
@@ -247,10 +251,10 @@ def test_rounds_are_put_together_by_success_of_all_and_time_of_the_fastest() -> 
 
 
 @pytest.mark.parametrize(("name", "module"), [("ikpy", "ikpy"), ("rtb_lm", "roboticstoolbox")])
-def test_another_library_takes_part(name: str, module: str, tmp_path: Path) -> None:
+def test_another_library_is_compared(name: str, module: str, tmp_path: Path) -> None:
     if importlib.util.find_spec(module) is None:
         command = "python -m benchmarks.peers install ENVIRONMENTS --libraries"
         pytest.skip(f"needs {module}: {command} {name}")
-    said = compare([name], ["puma560"], tmp_path, count=COUNT, rounds=1)
-    cell = said["libraries"][name]["robots"]["puma560"]["warm"]
-    assert cell["success"] > 0.9 and not said["failed"]
+    results = compare([name], ["puma560"], tmp_path, count=COUNT, rounds=1)
+    cell = results["libraries"][name]["robots"]["puma560"]["warm"]
+    assert cell["success"] > 0.9 and not results["failed"]

@@ -46,7 +46,7 @@ def extrinsics_of(pose: Pose, covariance: np.ndarray) -> CameraExtrinsics:
     twist=st.lists(st.floats(-3, 3), min_size=6, max_size=6),
     parent=st.text(st.characters(codec="utf-8", exclude_categories=["Cs"]), max_size=12),
 )
-def test_the_file_gives_back_what_was_written(
+def test_the_written_file_is_read_back(
     twist: list[float], parent: str, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     path = tmp_path_factory.mktemp("place") / "place.toml"
@@ -106,7 +106,7 @@ def test_a_wrong_file_is_reported_in_one_sentence(
         CameraExtrinsics.load(path)
 
 
-def test_a_camera_is_located_with_an_honest_uncertainty() -> None:
+def test_a_camera_is_located_with_a_consistent_uncertainty() -> None:
     true = BOARD.compose(SEEN.inverse())
     errors = []
     stated = []
@@ -114,24 +114,24 @@ def test_a_camera_is_located_with_an_honest_uncertainty() -> None:
         extrinsics = locate_camera([observed(np.random.default_rng(seed))], BOARD, STANDARD_CAMERA)
         errors.append(extrinsics.pose_parent_camera.distance(true))
         stated.append((extrinsics.sigma_position, extrinsics.sigma_angle))
-    off, said = (np.sqrt(np.mean(np.square(v), axis=0)) for v in (errors, stated))
-    assert off[0] < 2e-3 and off[1] < np.deg2rad(0.25)
-    assert (off < 2 * said).all() and (said < 2 * off).all()
+    errors_rms, stated_rms = (np.sqrt(np.mean(np.square(v), axis=0)) for v in (errors, stated))
+    assert errors_rms[0] < 2e-3 and errors_rms[1] < np.deg2rad(0.25)
+    assert (errors_rms < 2 * stated_rms).all() and (stated_rms < 2 * errors_rms).all()
     assert 0.05 < extrinsics.residual_px < 0.2
     assert extrinsics.residual_mm == pytest.approx(
         1e3 * extrinsics.residual_px * 0.7 / 800, rel=0.1
     )
 
 
-def test_frames_are_averaged_and_a_hand_before_the_board_does_no_harm() -> None:
+def test_frames_are_averaged_even_with_a_hand_before_the_board() -> None:
     true = BOARD.compose(SEEN.inverse())
     rng = np.random.default_rng(1)
     views = [observed(rng) for _ in range(9)]
-    one = locate_camera(views[:1], BOARD, STANDARD_CAMERA)
+    single = locate_camera(views[:1], BOARD, STANDARD_CAMERA)
     spoilt = Observation(POINTS, views[0].pixels + 25.0, SEEN.compose(Pose((0.05, 0.0, 0.1))), 0.1)
     part = Observation(POINTS[:8], views[1].pixels[:8], SEEN, 0.1)
     many = locate_camera([*views, spoilt, part], BOARD, STANDARD_CAMERA)
-    assert many.residual_px < 0.6 * one.residual_px and many.views == 11
+    assert many.residual_px < 0.6 * single.residual_px and many.views == 11
     assert many.pose_parent_camera.distance(true)[0] < 5e-4
     with pytest.raises(CameraError, match="no picture"):
         locate_camera([], BOARD, STANDARD_CAMERA)
@@ -179,57 +179,57 @@ def pattern_frame(board: PatternTarget, pose: Pose) -> Frame:
 @pytest.mark.parametrize(
     "text", ["", "marker:7", "grid:3x:50:12", "marker:x:50", "grid:3x2:-50:12", "cube"]
 )
-def test_a_board_that_means_nothing_is_refused(text: str) -> None:
+def test_a_meaningless_board_is_rejected(text: str) -> None:
     with pytest.raises(CameraError, match="is not a board") as refused:
         parse_target(text)
     assert "charuco:COLUMNSxROWS" in refused.value.hint
 
 
-def test_metres_in_the_words_of_a_board_are_reported() -> None:
+def test_metres_in_the_text_of_a_board_are_reported() -> None:
     with pytest.raises(CameraError, match=r"0\.05 mm is too small for a board") as refused:
         parse_target("grid:2x2:0.05:0.0125")
     assert "0.05 m are 50" in refused.value.hint
 
 
 @pytest.mark.parametrize("text", ["charuco:8x6:2000:22", "chessboard:9x6:2000"])
-def test_a_pattern_that_cannot_be_is_refused_in_millimetres(text: str) -> None:
+def test_an_impossible_pattern_is_rejected_in_millimetres(text: str) -> None:
     """It was said to have squares of 2 m, which were to be 2 mm."""
     with pytest.raises(CameraError, match="a square of 2000 mm is not possible") as refused:
         parse_target(text)
     assert refused.value.hint == "give 1 to 1000 mm"
 
 
-def test_a_body_is_taken_from_a_file(tmp_path: Path) -> None:
+def test_a_body_is_read_from_a_file(tmp_path: Path) -> None:
     path = tmp_path / "bodies.toml"
-    one = '[[body]]\nname = "{name}"\nmarkers = [{{ id = {id}, size = 0.04 }}]\n'
-    path.write_text(one.format(name="hand", id=3))
+    body_text = '[[body]]\nname = "{name}"\nmarkers = [{{ id = {id}, size = 0.04 }}]\n'
+    path.write_text(body_text.format(name="hand", id=3))
     board = parse_target(str(path), "DICT_4X4_50")
     assert (
         isinstance(board, MarkerTarget)
         and set(board.squares) == {3}
         and board.dictionary == "DICT_4X4_50"
     )
-    path.write_text(one.format(name="hand", id=3) + one.format(name="table", id=4))
+    path.write_text(body_text.format(name="hand", id=3) + body_text.format(name="table", id=4))
     assert set(parse_target(f"{path}:table").squares) == {4}
     with pytest.raises(CameraError, match="several bodies") as refused:
         parse_target(str(path))
     assert f"{path}:table" in refused.value.hint
 
 
-def test_a_film_in_which_the_board_moves_gives_no_place() -> None:
+def test_a_film_of_a_moving_board_gives_no_camera_pose() -> None:
     """It gave one, 3 µm well known, beside residuals of 58 px."""
     rng = np.random.default_rng(8)
     moving = []
     for k in range(6):
-        there = Pose((0.04 * k - 0.1, 0.0, 0.0)).compose(SEEN)
-        pixels = STANDARD_CAMERA.project(there.apply(POINTS)) + rng.normal(0, 0.1, (len(POINTS), 2))
-        moving.append(Observation(POINTS, pixels, there, 0.1))
+        pose = Pose((0.04 * k - 0.1, 0.0, 0.0)).compose(SEEN)
+        pixels = STANDARD_CAMERA.project(pose.apply(POINTS)) + rng.normal(0, 0.1, (len(POINTS), 2))
+        moving.append(Observation(POINTS, pixels, pose, 0.1))
     with pytest.raises(CalibrationError, match=r"move by .* px between the pictures") as refused:
         locate_camera(moving, BOARD, STANDARD_CAMERA)
     assert "handeye" in str(refused.value.hint)
 
 
-def test_a_board_of_other_sizes_gives_no_place() -> None:
+def test_a_board_with_wrong_sizes_gives_no_camera_pose() -> None:
     """Gaps twice as wide as the layout says: no pose meets the corners."""
     printed = marker_grid(3, 2, 0.05, 0.03).markers
     points = np.concatenate([pose.apply(marker_points(side)) for side, pose in printed.values()])

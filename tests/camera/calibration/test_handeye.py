@@ -1,4 +1,4 @@
-"""Hand-eye calibration: laws of AX = XB, accuracy, honest uncertainty, refusals and outliers."""
+"""Hand-eye calibration: laws of AX = XB, accuracy, consistent uncertainty, errors and outliers."""
 
 from __future__ import annotations
 
@@ -51,16 +51,18 @@ def test_exact_views_give_the_exact_mount(seed: int, mounting: Mounting) -> None
 
 @settings(max_examples=4)
 @given(seed=st.integers(0, 10**6))
-def test_another_world_frame_moves_the_answer_and_nothing_else(seed: int) -> None:
+def test_another_world_frame_transforms_only_the_answer(seed: int) -> None:
     _, samples = handeye_set(8, mounting="eye_to_hand", seed=seed)
     world = Pose().plus(np.random.default_rng(seed).normal(0, 1, 6))
-    elsewhere = [HandEyeSample(world.compose(one.pose_world_hand), one.view) for one in samples]
-    here = solve_handeye(samples, STANDARD_CAMERA, mounting="eye_to_hand")
-    there = solve_handeye(elsewhere, STANDARD_CAMERA, mounting="eye_to_hand")
-    wanted = world.compose(here.pose_parent_camera)
-    assert max(there.pose_parent_camera.distance(wanted)) < 1e-5
-    assert max(there.pose_other_board.distance(here.pose_other_board)) < 1e-5
-    assert there.sigma_position == pytest.approx(here.sigma_position, rel=0.02)
+    elsewhere = [
+        HandEyeSample(world.compose(sample.pose_world_hand), sample.view) for sample in samples
+    ]
+    first = solve_handeye(samples, STANDARD_CAMERA, mounting="eye_to_hand")
+    second = solve_handeye(elsewhere, STANDARD_CAMERA, mounting="eye_to_hand")
+    wanted = world.compose(first.pose_parent_camera)
+    assert max(second.pose_parent_camera.distance(wanted)) < 1e-5
+    assert max(second.pose_other_board.distance(first.pose_other_board)) < 1e-5
+    assert second.sigma_position == pytest.approx(first.sigma_position, rel=0.02)
 
 
 @pytest.mark.parametrize("mounting", MOUNTINGS)
@@ -92,7 +94,7 @@ def test_derivatives_are_those_of_finite_differences(mounting: Mounting) -> None
 
 
 @pytest.mark.parametrize("mounting", MOUNTINGS)
-def test_fifteen_views_are_good_for_the_target_and_the_uncertainty_is_honest(
+def test_fifteen_views_meet_the_target_with_a_consistent_uncertainty(
     mounting: Mounting,
 ) -> None:
     errors = []
@@ -105,9 +107,9 @@ def test_fifteen_views_are_good_for_the_target_and_the_uncertainty_is_honest(
         stated.append((found.sigma_position, found.sigma_angle))
         arm.append((found.arm_position, found.arm_angle))
         assert not found.outliers
-    off, said = (np.sqrt(np.mean(np.square(v), axis=0)) for v in (errors, stated))
-    assert off[0] < 1.5e-3 and off[1] < np.deg2rad(0.25)
-    assert (off < 2 * said).all() and (said < 2 * off).all()
+    errors_rms, stated_rms = (np.sqrt(np.mean(np.square(v), axis=0)) for v in (errors, stated))
+    assert errors_rms[0] < 1.5e-3 and errors_rms[1] < np.deg2rad(0.25)
+    assert (errors_rms < 2 * stated_rms).all() and (stated_rms < 2 * errors_rms).all()
     # the arm's error is told apart from the pixels' (three times is as well as 15 views can tell
     # it)
     assert 1e-4 < np.median(arm, axis=0)[0] < 9e-4
@@ -122,30 +124,33 @@ def test_a_bias_that_all_views_share_is_in_the_uncertainty() -> None:
             view = sample.view
             away = view.pixels - view.pixels.mean(axis=0)
             pixels = view.pixels + outwards * away / np.linalg.norm(away, axis=1, keepdims=True)
-            one = Observation(view.points, pixels, view.pose, view.sigma, bias)
-            shifted.append(HandEyeSample(sample.pose_world_hand, one))
+            observation = Observation(view.points, pixels, view.pose, view.sigma, bias)
+            shifted.append(HandEyeSample(sample.pose_world_hand, observation))
         result = solve_handeye(shifted, STANDARD_CAMERA, mounting="eye_in_hand")
         return (
             result.pose_parent_camera.distance(truth.pose_parent_camera)[0],
             result.sigma_position,
         )
 
-    off, alone = found(0.0, 0.05)
-    assert off > 3 * alone  # the views agree with each other, and say nothing of it
+    error_with_offset, error = found(0.0, 0.05)
+    # The views agree with each other, so the stated error does not show it.
+    assert error_with_offset > 3 * error
     again, stated = found(0.05, 0.05)
-    assert again == off < 2 * stated and stated < 2 * off
+    assert again == error_with_offset < 2 * stated and stated < 2 * error_with_offset
     assert found(0.01, 0.0)[1] < 0.5 * stated
 
 
-def test_views_turned_by_little_are_said_to_be_worse() -> None:
-    said = []
+def test_small_rotations_give_a_larger_sigma() -> None:
+    sigmas = []
     for spread in (8.0, 25.0):
         _, samples = handeye_set(seed=1, spread_deg=spread)
-        said.append(solve_handeye(samples, STANDARD_CAMERA, mounting="eye_in_hand").sigma_position)
-    assert said[0] > 2 * said[1]
+        sigmas.append(
+            solve_handeye(samples, STANDARD_CAMERA, mounting="eye_in_hand").sigma_position
+        )
+    assert sigmas[0] > 2 * sigmas[1]
 
 
-def test_with_a_perfect_arm_it_is_scipys_least_squares_of_all_corners() -> None:
+def test_with_an_exact_arm_it_equals_scipys_least_squares_of_all_corners() -> None:
     truth, samples = handeye_set(12, mounting="eye_to_hand", seed=5, arm_sigma=(0.0, 0.0))
     found = solve_handeye(samples, STANDARD_CAMERA, mounting="eye_to_hand")
 
@@ -176,7 +181,7 @@ def test_wrong_views_are_named_and_hardly_count(mounting: Mounting) -> None:
     assert found.residuals[4].left_out_position > 3e-3
 
 
-def test_a_flipped_first_estimate_does_no_harm() -> None:
+def test_a_flipped_first_estimate_does_not_change_the_result() -> None:
     truth, samples = handeye_set(mounting="eye_to_hand", seed=7)
     view = samples[6].view
     mirrored = view.pose.compose(Pose(wxyz=rotation_exp([0.9, 0.3, 0.0])))
@@ -196,14 +201,14 @@ def test_a_flipped_first_estimate_does_no_harm() -> None:
         ({"count": 3}, "3 views are too few"),
     ],
 )
-def test_motions_that_cannot_tell_are_refused(changes: dict[str, object], text: str) -> None:
+def test_uninformative_motions_are_rejected(changes: dict[str, object], text: str) -> None:
     _, samples = handeye_set(**changes)  # type: ignore[arg-type]
     with pytest.raises(CalibrationError, match=text) as refused:
         solve_handeye(samples, STANDARD_CAMERA, mounting="eye_in_hand")
     assert "30 degrees" in refused.value.hint
 
 
-def test_a_view_that_makes_no_sense_is_refused() -> None:
+def test_an_invalid_view_is_rejected() -> None:
     for points, pixels in (
         (MARKER, np.zeros((3, 2))),
         (MARKER[:3], np.zeros((3, 2))),
@@ -218,9 +223,9 @@ def test_a_view_that_makes_no_sense_is_refused() -> None:
 
 
 @pytest.mark.parametrize("mounting", ["eye_in_hand", "eye_to_hand"])
-def test_pictures_that_belong_to_other_joint_angles_give_no_mount(mounting: Mounting) -> None:
+def test_pictures_with_wrong_joint_angles_give_no_mount(mounting: Mounting) -> None:
     _, samples = handeye_set(12, mounting=mounting, seed=3)
-    views = [one.view for one in samples]
+    views = [sample.view for sample in samples]
     shuffled = [
         HandEyeSample(one.pose_world_hand, view)
         for one, view in zip(samples, views[5:] + views[:5], strict=True)
@@ -244,7 +249,7 @@ def test_the_mean_rotation_is_scipys_whatever_the_signs(seed: int) -> None:
     assert (mean.inv() * turns.mean()).magnitude() < 1e-7
 
 
-def test_the_robust_mean_leaves_a_stray_pose_alone() -> None:
+def test_the_robust_mean_ignores_an_outlier_pose() -> None:
     rng = np.random.default_rng(0)
     poses = [Pose().plus(rng.normal(0, 1e-3, 6)) for _ in range(9)]
     mean = robust_mean_pose([*poses, Pose((0.3, 0, 0), (0, 1, 0, 0))])

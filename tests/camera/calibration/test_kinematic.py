@@ -70,8 +70,8 @@ def views_of(
 
 def model_of(views: list[CalibrationStation], robot: Robot, **changes: Any) -> ArmModel:
     known = {"camera": KnownPose.within(CAMERA, *EXACT), "board": KnownPose.within(BOARD, *EXACT)}
-    asked = {"robot": robot, "frame": FRAME, "intrinsics": STANDARD_CAMERA, "views": views}
-    return ArmModel(**(asked | known | changes))
+    arguments = {"robot": robot, "frame": FRAME, "intrinsics": STANDARD_CAMERA, "views": views}
+    return ArmModel(**(arguments | known | changes))
 
 
 def fit(views: list[CalibrationStation], robot: Robot, *, hold: Any = (), **changes: Any) -> Any:
@@ -154,9 +154,9 @@ def test_indistinguishable_offsets_are_named_and_held(robot: Robot) -> None:
         "board": KnownPose.within(BOARD, 0.1, 0.2),
     }
     found = fit(views, robot, **loose)
-    assert {one.joint for one in found.unobservable} == {"joint1", "joint6"}
+    assert {joint.joint for joint in found.unobservable} == {"joint1", "joint6"}
     assert found.determined == ("joint2", "joint3", "joint4", "joint5")
-    texts = {one.joint: unobservable_text(one, "link6") for one in found.unobservable}
+    texts = {joint.joint: unobservable_text(joint, "link6") for joint in found.unobservable}
     assert (
         "the offset of joint1 and the rotation of the camera about z of the world"
         in texts["joint1"]
@@ -182,7 +182,7 @@ def test_a_joint_that_does_not_move_the_board_is_named(robot: Robot) -> None:
             one.q, Observation(POINTS, STANDARD_CAMERA.project(seen.apply(POINTS)), seen, 0.01)
         )
 
-    views = [seen_from_link5(one) for one in views_of(robot, np.zeros(6), 8, 1)]
+    views = [seen_from_link5(view) for view in views_of(robot, np.zeros(6), 8, 1)]
     found = fit(views, robot, frame="link5")
     (one,) = found.unobservable
     assert (
@@ -247,17 +247,17 @@ def test_each_pose_is_judged_by_the_fit_to_all_others(robot: Robot) -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("off", [None, "joint2", "joint3"])
-def test_hand_eye_views_show_a_zero_that_is_off_by_half_a_degree(
+def test_hand_eye_views_show_a_zero_offset_of_half_a_degree(
     robot: Robot, off: str | None, seed: int
 ) -> None:
     """12 views with servo ticks and 0.1 px. The poses of camera and board are unknown."""
     offsets = np.deg2rad([0.5 if name == off else 0.0 for name in robot.joints])
     views = views_of(robot, offsets, 12, seed, pixel=0.1, joint=np.deg2rad(0.03))
-    samples = [HandEyeSample(robot.forward(one.q, FRAME), one.view) for one in views]
+    samples = [HandEyeSample(robot.forward(view.q, FRAME), view.view) for view in views]
     found = solve_handeye(samples, STANDARD_CAMERA, mounting="eye_to_hand")
     doubted = doubted_zeros(views, robot, FRAME, STANDARD_CAMERA, found)
     assert list(doubted) == ([] if off is None else [off])
-    for degrees, sigma in (np.degrees(one) for one in doubted.values()):
+    for degrees, sigma in (np.degrees(sigmas) for sigmas in doubted.values()):
         assert degrees == pytest.approx(0.5, abs=0.15) and sigma < 0.07
 
 

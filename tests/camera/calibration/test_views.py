@@ -61,7 +61,7 @@ def gatherer() -> ViewGatherer:
     return ViewGatherer(pattern)
 
 
-def test_only_what_is_still_and_new_is_taken(gatherer: ViewGatherer) -> None:
+def test_only_still_and_new_views_are_taken(gatherer: ViewGatherer) -> None:
     def show(*numbers: int) -> list[bool]:
         return [gatherer.offer(frame(n), f"{n}", selective=True) for n in numbers]
 
@@ -101,7 +101,7 @@ def picture(pattern: Pattern) -> Frame:
     return Frame(np.repeat(gray[:, :, None], 3, axis=2), 0.0, 0)
 
 
-def test_a_board_of_the_old_layout_is_taken_and_reported() -> None:
+def test_a_board_of_the_old_layout_is_used_and_reported() -> None:
     gatherer = ViewGatherer(CharucoPattern(6, 4, 0.03, 0.022))
     old = picture(CharucoPattern(6, 4, 0.03, 0.022, legacy=True))
     assert not gatherer.offer(old, "old.png", selective=False)
@@ -122,7 +122,7 @@ def test_a_wrong_board_size_is_reported() -> None:
     assert "--columns 7 --rows 4 (inner corners, not squares)" in caught.value.hint
 
 
-def test_a_wrong_board_before_a_live_camera_is_reported_soon() -> None:
+def test_a_wrong_board_before_a_live_camera_is_reported_early() -> None:
     gatherer = ViewGatherer(ChessboardPattern(8, 5, 0.025))
     other = picture(ChessboardPattern(7, 4, 0.025))
     with pytest.raises(CalibrationError, match="but a chessboard of 7x4"):
@@ -131,7 +131,7 @@ def test_a_wrong_board_before_a_live_camera_is_reported_soon() -> None:
             assert not gatherer.in_view
 
 
-def test_nothing_there_is_reported() -> None:
+def test_pictures_without_any_board_are_reported() -> None:
     gatherer = ViewGatherer(CharucoPattern(8, 6, 0.03, 0.022))
     gatherer.offer(frame(120), "wall.png", selective=False)
     with pytest.raises(
@@ -181,14 +181,14 @@ def test_pictures_of_another_board_with_the_same_markers_are_no_calibration() ->
     assert CharucoPattern(8, 6, 0.03, 0.022).find(image) is None
 
 
-def test_a_board_of_which_only_a_part_was_asked_for_is_reported(
+def test_a_board_with_only_some_requested_markers_is_reported(
     gatherer: ViewGatherer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # OpenCV finds parts of a board in photographs, but not in clean drawings.
-    there = gatherer.pattern.find(frame(0).image)
+    view = gatherer.pattern.find(frame(0).image)
 
     def find(pattern: ChessboardPattern, image: np.ndarray) -> FoundPattern | None:
-        return there if (pattern.columns, pattern.rows) == (10, 6) else None
+        return view if (pattern.columns, pattern.rows) == (10, 6) else None
 
     monkeypatch.setattr(ChessboardPattern, "find", find)
     assert gatherer.offer(frame(0), "photo", selective=False)
@@ -199,7 +199,7 @@ def test_a_board_of_which_only_a_part_was_asked_for_is_reported(
     ]
 
 
-def test_a_chance_find_does_not_hide_a_wrong_count() -> None:
+def test_a_random_detection_does_not_hide_a_wrong_count() -> None:
     gatherer = ViewGatherer(ChessboardPattern(8, 5, 0.025))
     assert gatherer.offer(picture(ChessboardPattern(8, 5, 0.025)), "chance", selective=False)
     right = Frame(np.full_like(picture(ChessboardPattern(8, 5, 0.025)).image, 255), 0.0, 1)

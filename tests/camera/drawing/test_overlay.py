@@ -29,7 +29,7 @@ def test_nothing_is_drawn_of_what_is_behind_the_camera(
 
 @settings(max_examples=10)
 @given(st.tuples(*[st.floats(-0.8, 0.8)] * 3), st.tuples(*[st.floats(-3, 3)] * 3))
-def test_a_camera_anywhere_even_inside_the_robot_draws_without_error(
+def test_a_camera_at_any_pose_even_inside_the_robot_draws_without_error(
     place: tuple[float, float, float], turn: tuple[float, float, float]
 ) -> None:
     robot = load_robot("puma560")
@@ -63,9 +63,11 @@ def test_styles_and_blending(model_of: Callable[..., mujoco.MjModel]) -> None:
 def test_hidden_lines_are_left_out(model_of: Callable[..., mujoco.MjModel]) -> None:
     wall = "<geom type='box' size='.3 .3 .01' pos='0 0 .8'/>"
     picture = np.zeros((480, 640, 3), np.uint8)
-    alone = overlay.draw_robot(picture, model_of(wall), [], LENS, Pose(), style="outline")
+    wall_only = overlay.draw_robot(picture, model_of(wall), [], LENS, Pose(), style="outline")
     hiding = model_of(wall + "<geom type='box' size='.1 .1 .1' pos='0 0 1.2'/>")
-    assert (overlay.draw_robot(picture, hiding, [], LENS, Pose(), style="outline") == alone).all()
+    assert (
+        overlay.draw_robot(picture, hiding, [], LENS, Pose(), style="outline") == wall_only
+    ).all()
 
 
 def test_wrong_picture_size_and_style_are_refused(model_of: Callable[..., mujoco.MjModel]) -> None:
@@ -124,7 +126,7 @@ def test_marker_outline_follows_its_corners() -> None:
         assert drawn[y - 1 : y + 2, x - 1 : x + 2, 1].max() > 150
 
 
-def test_before_and_after_stand_side_by_side() -> None:
+def test_before_and_after_are_shown_side_by_side() -> None:
     left = np.full((90, 160, 3), 10, np.uint8)
     right = np.full((180, 320, 3), 200, np.uint8)
     accents = (overlay.ORANGE, overlay.GREEN)

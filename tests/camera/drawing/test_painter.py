@@ -1,4 +1,4 @@
-"""The painter against OpenCV's projection and MuJoCo's own rays."""
+"""The painter against OpenCV's projection and MuJoCo's rays."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -182,7 +182,7 @@ def test_a_painted_primitive_covers_the_pixels_that_rays_hit(
 @pytest.mark.parametrize("kind", [k for k in SHAPES if k != "box"])
 @settings(max_examples=3)
 @given(turn=st.tuples(*[st.floats(-3, 3)] * 3), x=st.floats(-0.1, 0.1), z=st.floats(0.5, 2.0))
-def test_the_outline_of_a_round_thing_is_true_to_a_part_of_a_pixel(
+def test_the_outline_of_a_round_object_is_accurate_to_a_part_of_a_pixel(
     model_of: Callable[..., mujoco.MjModel],
     kind: str,
     turn: tuple[float, float, float],
@@ -220,7 +220,7 @@ def test_any_number_of_samples_covers_the_same(
 @pytest.mark.parametrize(
     "sizes", [(".25 .2 .001", ".09 .07 .001"), (".09 .07 .001", ".25 .2 .001")]
 )
-def test_of_surfaces_that_lie_in_each_other_the_first_is_seen(
+def test_of_coincident_surfaces_the_first_is_visible(
     model_of: Callable[..., mujoco.MjModel], sizes: tuple[str, str]
 ) -> None:
     boxes = [

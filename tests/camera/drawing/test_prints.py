@@ -26,7 +26,7 @@ def seen(sheet: Print, pose: Pose, lens: CameraIntrinsics = LENS) -> ProjectedPr
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.2, 0.7853981634, 2.0])
-def test_a_square_has_its_area_and_its_middle_however_it_is_turned(turn: float) -> None:
+def test_a_square_has_its_area_and_its_centre_at_every_rotation(turn: float) -> None:
     centre = np.array([0.0123, -0.0087])
     side = 0.0404
     found = seen(blank_paper(side), Pose((*centre, 1.0), rotation_exp([0.0, 0.0, turn])))
@@ -84,7 +84,7 @@ def test_a_print_is_seen_from_its_front_only_and_not_beside_the_picture() -> Non
     assert project_print(blank_paper(0.04), Pose((0, 0, -1)), field) is None
 
 
-def test_what_is_in_front_takes_its_share_of_every_pixel() -> None:
+def test_an_object_in_front_covers_its_share_of_every_pixel() -> None:
     field = ray_field(LENS)
     pose = Pose((0, 0, 1))
     found = project_print(
@@ -92,7 +92,7 @@ def test_what_is_in_front_takes_its_share_of_every_pixel() -> None:
     )
     assert found is not None
     row = found.coverage[120 - found.box[1], 160 - found.box[0] :][:8]
-    # By quarters of a pixel, at the middles of which it is asked: 5.25 mm leaves one quarter of
+    # Visibility is tested at the middles of quarters of a pixel: 5.25 mm leaves one quarter of
     # pixel 5.
     assert row == pytest.approx([0.0] * 5 + [0.25, 1.0, 1.0])
     assert found.visible == pytest.approx((20.0 - 5.25) / 40.0, abs=1e-3)

@@ -69,7 +69,7 @@ def test_a_black_body_shows_its_shape_from_every_side(
     assert np.percentile(tones, 95) > np.percentile(tones, 5) + 12
 
 
-def test_a_body_throws_a_shadow_beside_it_and_several_do_not_add_up(
+def test_a_body_casts_a_shadow_beside_it_and_shadows_do_not_add_up(
     model_of: Callable[..., mujoco.MjModel],
 ) -> None:
     model = model_of("<geom type='box' size='.1 .1 .15' pos='0 0 .15' rgba='.7 .7 .7 1'/>")
@@ -84,7 +84,7 @@ def test_a_body_throws_a_shadow_beside_it_and_several_do_not_add_up(
     assert columns.mean() > pixel((0.0, 0.0, 0.0))[1], "the light comes from the left"
 
 
-def test_the_tiles_are_where_they_are_on_the_floor_and_fade_into_the_wall() -> None:
+def test_the_tiles_are_fixed_on_the_floor_and_fade_into_the_wall() -> None:
     room = tiled_room(extent=1.0, tile_side=0.5)
     photo = photograph([], LENS, CAMERA, room)
     tones = {}

@@ -90,7 +90,7 @@ def test_the_folded_sheet_is_the_body_that_is_tracked(ids: tuple[int, ...]) -> N
 
 
 @pytest.mark.parametrize("edge", [25.0, 70.0])
-def test_tabs_hold_the_cube_and_are_in_nobodys_way(edge: float) -> None:
+def test_tabs_connect_the_faces_of_the_cube_without_overlap(edge: float) -> None:
     (cuts, folds, every) = cube_paper(edge)
     e = edge / 2
     assert len(every) == 7 and len(folds) == 12

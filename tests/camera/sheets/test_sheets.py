@@ -60,8 +60,8 @@ def found(page_image: np.ndarray, dictionary: str = "DICT_5X5_50") -> dict[int, 
 def test_sizes_in_the_pdf_are_right_to_a_hundredth_of_a_millimetre(
     kind: SheetKind, page: str
 ) -> None:
-    asked = SheetRequest(kind, id=(3, 4) if kind == "marker" else (), page=page)
-    sheet = make_sheet_page(asked)
+    request = SheetRequest(kind, id=(3, 4) if kind == "marker" else (), page=page)
+    sheet = make_sheet_page(request)
     data = pdf_bytes(sheet)
     size, boxes = pdf_boxes(data)
     papers = {"a4": (210.0, 297.0), "letter": (215.9, 279.4)}
@@ -79,10 +79,10 @@ def test_sizes_in_the_pdf_are_right_to_a_hundredth_of_a_millimetre(
         side = cells[np.abs(cells[:, 1] - first[1]) < 0.01]
         # The upper row of a marker is black: 7 cells without a gap.
         assert side[:, 0].max() + side[0, 2] - first[0] == pytest.approx(
-            50.0 if len(side) == 7 else 50.0 + asked.gap + 50.0, abs=0.01
+            50.0 if len(side) == 7 else 50.0 + request.gap + 50.0, abs=0.01
         )
     else:
-        square = asked.size
+        square = request.size
         squares = cells[np.isclose(cells[:, 2], square, atol=0.01)]
         assert len(squares) == (24 if kind == "charuco" else 35)
         steps = np.diff(np.unique(squares[:, 0].round(3)))
@@ -90,8 +90,8 @@ def test_sizes_in_the_pdf_are_right_to_a_hundredth_of_a_millimetre(
 
 
 def test_the_print_is_found_by_the_detector_at_the_right_size() -> None:
-    asked = SheetRequest("board", size_mm=42.0, columns=3, rows=2, id=(10,), gap_mm=11.0)
-    corners = found(printed(make_sheet_page(asked), DPI))
+    request = SheetRequest("board", size_mm=42.0, columns=3, rows=2, id=(10,), gap_mm=11.0)
+    corners = found(printed(make_sheet_page(request), DPI))
     assert set(corners) == {10, 11, 12, 13, 14, 15}
     centres = {k: c.mean(axis=0) for k, c in corners.items()}
     for corner in corners.values():
@@ -99,18 +99,18 @@ def test_the_print_is_found_by_the_detector_at_the_right_size() -> None:
         # The detector's integer corners are half a pixel inside, here 0.17 mm.
         assert sides == pytest.approx(np.full(4, 42.0), abs=0.3)
     # The markers are at their places on the body. Pictures have y down.
-    body = body_of(asked)
+    body = body_of(request)
     middle = np.mean(list(centres.values()), axis=0)
     for marker, (size, pose) in body.markers.items():
         assert size == pytest.approx(0.042)
-        there = (centres[marker] - middle) * [1, -1] / 1e3
-        assert there == pytest.approx(pose.position[:2], abs=2e-4)
+        expected = (centres[marker] - middle) * [1, -1] / 1e3
+        assert expected == pytest.approx(pose.position[:2], abs=2e-4)
 
 
-def test_a_cell_border_lies_where_it_should_in_the_print() -> None:
+def test_a_cell_border_is_at_its_exact_position_in_the_print() -> None:
     """Accurate to 0.1 mm, by the grey values of the pixels on an edge."""
-    asked = SheetRequest("marker", size_mm=50.0)
-    sheet = make_sheet_page(asked)
+    request = SheetRequest("marker", size_mm=50.0)
+    sheet = make_sheet_page(request)
     image = printed(sheet, DPI).astype(float)
     cells = sheet.boxes[np.isclose(sheet.boxes[:, 2], 50.0 / 7.0)]
     left, top = cells[:, :2].min(axis=0)
@@ -129,7 +129,7 @@ def test_a_printed_pattern_is_what_the_calibration_looks_for() -> None:
         assert scale == pytest.approx(1000.0, rel=1e-3)
 
 
-def test_the_sheet_says_how_it_was_made_and_what_it_is() -> None:
+def test_the_sheet_contains_its_command_and_its_name() -> None:
     text = " ".join(
         w.text for w in make_sheet_page(SheetRequest("charuco", size_mm=25.0, columns=9)).labels
     )
@@ -159,7 +159,7 @@ def test_the_sheet_says_how_it_was_made_and_what_it_is() -> None:
         SheetRequest("chessboard", 18.0, 7, 5),
     ],
 )
-def test_the_sheet_says_what_other_commands_call_the_board(asked: SheetRequest) -> None:
+def test_the_sheet_contains_the_argument_for_other_commands(asked: SheetRequest) -> None:
     page = make_sheet_page(asked)
     (text,) = [w.text for w in page.labels if "--board" in w.text]
     board = parse_target(text.split("--board ")[1], asked.dictionary)
@@ -229,16 +229,16 @@ def test_the_body_file_is_read_back(asked: SheetRequest, tmp_path: Path) -> None
         (SheetRequest("marker", page="a7"), "unknown paper 'a7'", "a4"),
     ],
 )
-def test_what_cannot_be_printed_is_refused(asked: SheetRequest, message: str, hint: str) -> None:
+def test_unprintable_boards_are_rejected(asked: SheetRequest, message: str, hint: str) -> None:
     with pytest.raises((CameraError, CalibrationError), match=message) as caught:
         make_sheet_page(asked)
     assert hint in caught.value.hint
 
 
-def test_the_size_that_is_said_to_fit_fits() -> None:
-    asked = SheetRequest("charuco", size_mm=55.0)
+def test_the_suggested_size_fits() -> None:
+    request = SheetRequest("charuco", size_mm=55.0)
     with pytest.raises(CameraError) as caught:
-        make_sheet_page(asked)
+        make_sheet_page(request)
     size = float(caught.value.hint.split()[1])
     make_sheet_page(SheetRequest("charuco", size_mm=size))
     with pytest.raises(CameraError):

@@ -156,7 +156,7 @@ def test_a_marker_behind_the_table_or_turned_away_is_not_seen() -> None:
     assert [d.id for d in MarkerDetector("DICT_5X5_50").detect(frame.image)] == [4]
 
 
-def test_truth_says_what_is_the_case_and_can_be_taken_away() -> None:
+def test_truth_is_correct_and_can_be_removed() -> None:
     pose = Pose((0.03, 0.02, 0.0), rotation_exp([0, 0, 0.7]))
     clock = VirtualClock(5.0)
     source = photograph(desk(SyntheticMarker(9, 0.05, pose)), clock=clock)
@@ -255,7 +255,7 @@ def test_corners_beside_an_object_with_its_shadow_are_exact() -> None:
     assert np.sqrt((errors**2).mean()) <= 0.03
 
 
-def test_a_moving_marker_is_where_it_is_at_that_time() -> None:
+def test_a_moving_marker_is_at_its_position_of_that_time() -> None:
     clock = VirtualClock()
     scene = desk(SyntheticMarker(2, 0.05, lambda now: Pose((0.1 * now, 0, 0))), lens=SMALL)
     source = photograph(scene, clock=clock)
@@ -269,7 +269,7 @@ def test_a_moving_marker_is_where_it_is_at_that_time() -> None:
 @settings(max_examples=12)
 @given(st.tuples(*[st.floats(-0.12, 0.12)] * 3), st.tuples(*[st.floats(-3, 3)] * 3))
 @example((0.0, 0.0, 0.0), (0.0, 3.0, 2.0))
-def test_a_camera_anywhere_takes_a_picture(
+def test_a_camera_at_any_pose_takes_a_picture(
     place: tuple[float, float, float], turn: tuple[float, float, float]
 ) -> None:
     body = (
@@ -290,7 +290,7 @@ def test_a_camera_anywhere_takes_a_picture(
     assert frame.image.shape == (48, 64, 3)
 
 
-def test_scenes_that_cannot_be_are_refused() -> None:
+def test_impossible_scenes_are_rejected() -> None:
     with pytest.raises(CameraError, match="twice"):
         desk(SyntheticMarker(1, 0.05), SyntheticMarker(1, 0.07))
     with pytest.raises(CameraError, match="50 is not in DICT_5X5_50"):

@@ -1,4 +1,4 @@
-"""A synthetic camera on the hand sees from where the joints put it."""
+"""A synthetic camera on the hand has the pose that follows from the joint angles."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from robot_ik.ports import VirtualClock
 from robot_ik.robot import load_robot
 
 
-def test_each_picture_is_taken_from_where_the_hand_is() -> None:
+def test_each_picture_is_taken_from_the_pose_of_the_hand() -> None:
     robot = load_robot("puma560")
     lens = STANDARD_CAMERA.scaled(320, 240)
     carried = Pose((0.1, 0.0, -0.05), rotation_exp([0.0, -0.2, 0.3]))
-    here = robot.home
+    home = robot.home
     board = (
-        robot.forward(here, "gripper")
+        robot.forward(home, "gripper")
         .compose(carried)
         .compose(Pose((0.02, 0.01, 0.5), (0, 1, 0, 0)))
     )
     markers = (SyntheticMarker(7, 0.1, board),)
     scene = SyntheticScene(robot, lens, carried, markers, camera_frame="gripper")
-    places = iter([here, robot.clip(here + np.array([0.03, -0.02, 0.02, 0.02, 0.02, 0.3]))])
+    places = iter([home, robot.clip(home + np.array([0.03, -0.02, 0.02, 0.02, 0.02, 0.3]))])
     target = marker(7, 0.1)
     poses = []
     clock = VirtualClock(2.0)

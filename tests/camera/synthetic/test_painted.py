@@ -40,7 +40,7 @@ def test_the_table_hides_the_part_of_the_robot_that_is_below_it() -> None:
     assert below[2] > below[0], "below it there is only the table"
 
 
-def test_the_robot_throws_a_soft_shadow_on_table_and_sheet() -> None:
+def test_the_robot_casts_a_soft_shadow_on_table_and_sheet() -> None:
     block = "<geom type='box' size='.04 .04 .12' pos='-.15 0 .12'/>"
     empty = scene().expose([]).light
     darker = scene(block).expose([]).light / empty
@@ -65,7 +65,7 @@ def test_the_robot_throws_a_soft_shadow_on_table_and_sheet() -> None:
     assert np.allclose(shaded / lit, share[row, column], atol=0.02)
 
 
-def test_what_is_behind_a_sheet_throws_no_shadow_on_it() -> None:
+def test_objects_behind_a_sheet_cast_no_shadow_on_it() -> None:
     standing = Pose((0.0, 0.0, 0.12), rotation_exp([np.pi / 2, 0.0, 0.0]))
     behind = "<geom type='box' size='.04 .02 .05' pos='0 .1 .15'/>"
     light = scene(behind).expose([], [sheet(standing)]).light

@@ -1,4 +1,4 @@
-"""BVH: what is written is read back equal, and a skeleton of other proportions is taken over."""
+"""BVH: written files are read back equal, and a skeleton of other proportions is retargeted."""
 
 from __future__ import annotations
 
@@ -45,9 +45,11 @@ def test_a_motion_is_read_back_equal_and_stands_where_mujoco_says(
     assert read.joints == made.joints and (read.values == made.values).all() and read.rate == 30.0
     again = exported_motion(read, robot)
     frames = motion.sampled(30.0)
-    off = [np.abs(robot.difference(a, b)).max() for a, b in zip(frames.q, again.q, strict=True)]
-    assert max(off) < 1e-10  # degrees to 17 digits, and one tilted hinge through a matrix
-    # Each BVH joint stands where MuJoCo has the anchor of the joints that it is made of.
+    differences = [
+        np.abs(robot.difference(a, b)).max() for a, b in zip(frames.q, again.q, strict=True)
+    ]
+    assert max(differences) < 1e-10  # degrees to 17 digits, and one tilted hinge through a matrix
+    # Each BVH joint is at the MuJoCo anchor of its joints.
     positions, _ = read.poses()
     data = mujoco.MjData(robot.model)
     for k in range(0, len(frames), 9):
@@ -153,7 +155,7 @@ def studio_take(frames: int = 61) -> Bvh:
     return bvh
 
 
-def test_a_take_of_another_figure_is_taken_over(humanoid: rik.Robot, tmp_path: Path) -> None:
+def test_a_motion_of_another_figure_is_retargeted(humanoid: rik.Robot, tmp_path: Path) -> None:
     studio_take().save(tmp_path / "take.bvh")
     take = Bvh.load(tmp_path / "take.bvh")
     assert take.rate == 120.0 and take.prefix == "mixamorig:"
@@ -182,7 +184,7 @@ def test_a_take_of_another_figure_is_taken_over(humanoid: rik.Robot, tmp_path: P
     assert knees[8] == pytest.approx(np.radians(2 * BEND_DEG), abs=0.1) and (knees >= 0.0).all()
 
 
-def test_our_own_file_is_taken_over_where_it_was(humanoid: rik.Robot) -> None:
+def test_an_exported_file_is_retargeted_to_the_same_motion(humanoid: rik.Robot) -> None:
     home = humanoid.home
     position = humanoid.forward(home, "right_hand").position + np.array([0.25, 0.0, 0.35])
     feet = [rik.PoseGoal.at(f, humanoid.forward(home, f)) for f in ("left_foot", "right_foot")]
@@ -198,7 +200,7 @@ def test_our_own_file_is_taken_over_where_it_was(humanoid: rik.Robot) -> None:
     assert np.median(again.hand_error) < 2e-3
 
 
-def test_a_walk_is_taken_over_without_sliding_or_sinking(humanoid: rik.Robot) -> None:
+def test_a_walk_is_retargeted_without_sliding_or_sinking(humanoid: rik.Robot) -> None:
     walk = KeyPoses.load(humanoid.folder / "poses.toml", humanoid).motion("walk")
     taken = retarget(export_bvh(walk, 30.0), humanoid)
     motion = taken.motion
@@ -216,7 +218,9 @@ def test_a_walk_is_taken_over_without_sliding_or_sinking(humanoid: rik.Robot) ->
                 assert np.abs(np.array(ends[one]) - np.array(ends[two])).max() < 3e-4
 
 
-def test_a_figure_that_the_map_does_not_know_is_named(humanoid: rik.Robot, tmp_path: Path) -> None:
+def test_files_and_figures_outside_the_map_are_reported(
+    humanoid: rik.Robot, tmp_path: Path
+) -> None:
     take = studio_take(2)
     joints = list(take.joints)
     joints[9] = BvhJoint("mixamorig:Skull", 8, (0.0, 4.0, 0.0), joints[9].channels)
@@ -282,7 +286,7 @@ DEEP = "HIERARCHY ROOT a { OFFSET 0 0 0 " + "JOINT a { OFFSET 0 0 0 " * 5000
         (DEEP, "the file ends too early"),
     ],
 )
-def test_a_broken_file_says_where(text: str, message: str, tmp_path: Path) -> None:
+def test_the_error_of_a_broken_file_names_the_line(text: str, message: str, tmp_path: Path) -> None:
     (tmp_path / "a.bvh").write_text(text)
     with pytest.raises(ConfigError, match=message):
         Bvh.load(tmp_path / "a.bvh")

@@ -1,4 +1,4 @@
-"""Dragging: pins hold, nothing jumps when what is dragged or pinned changes, weight shifts."""
+"""Dragging: pins hold, changes of the dragged or pinned frames cause no jump, weight shifts."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def speeds(robot: rik.Robot, one: Array, two: Array) -> float:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_any_body_is_dragged_and_what_is_dragged_changes_without_a_jump(name: str) -> None:
+def test_any_body_is_dragged_and_the_dragged_body_changes_without_a_jump(name: str) -> None:
     frames, pins = CASES[name]
     robot = rik.load_robot(name)
     drag = Drag(robot, pinned=pins, rate=RATE, speed=2.0)
@@ -72,7 +72,7 @@ def test_the_pinned_base_changes_while_it_runs() -> None:
     assert robot.measure(q, "right_hand").distance(hand)[0] < 1e-4
 
 
-def test_out_of_reach_the_nearest_is_held_and_the_pins_hold() -> None:
+def test_a_target_out_of_reach_gives_the_nearest_pose_and_keeps_the_pins() -> None:
     robot = rik.load_robot("humanoid")
     drag = Drag(robot, "right_hand", pinned=["left_foot", "right_foot"], rate=RATE, speed=6.0)
     feet = [robot.measure(drag.q, foot) for foot in drag.pinned]
@@ -111,7 +111,7 @@ def test_weight_shifts_and_the_free_foot_lifts(name: str, onto: list[str], free:
     assert np.abs(robot.center_of_mass(q)[:2] - middle).max() < 2e-4
 
 
-def test_what_cannot_be_is_refused() -> None:
+def test_impossible_input_is_rejected() -> None:
     drag = Drag(rik.load_robot("puma560"), "gripper", pinned=["link2"])
     with pytest.raises(UnknownFrameError, match="gripper"):
         drag.take("griper")

@@ -200,7 +200,7 @@ def test_wrong_priors_and_goals_are_refused(humanoid: rik.Robot) -> None:
         Problem(humanoid, [PosePriorGoal(prior=prior), PosePriorGoal(prior=prior, weight=2.0)])
     with pytest.raises(UnknownJointError):
         Problem(puma, PosePriorGoal(prior=prior))
-    with pytest.raises(ModelError, match="no pose prior ships with 'puma560'"):
+    with pytest.raises(ModelError, match="no pose prior is bundled with 'puma560'"):
         PosePrior.of(puma)
     with pytest.raises(UnsupportedGoalError, match="soft"):
         Problem(humanoid, PosePriorGoal(prior=prior), solver="dls")

@@ -61,7 +61,7 @@ def test_everybody_silent_and_power_lost(bus: VirtualBus, sim: SimBus) -> None:
     sim.write(1, TABLE["led"], 1)
     bus.inject(Fault("supply", value=0.0, for_packets=1))
     assert answering(sim) == [] and answering(sim) == [1, 2, 3]
-    assert sim.read(1, TABLE["led"]).data == 0  # it has started anew
+    assert sim.read(1, TABLE["led"]).data == 0  # the servo has restarted
     assert sim.read(1, TABLE["present_input_voltage"]).data == 120
 
 
@@ -125,7 +125,7 @@ def test_faults_are_taken_back_by_kind_or_all(bus: VirtualBus, sim: SimBus) -> N
     assert bus.clear("silent") == 2 and answering(sim) == [1, 2, 3]
     assert sim.read(2, TABLE["hardware_error_status"]).data
     assert bus.clear() == 1 and bus.clear() == 0
-    assert sim.read(2, TABLE["hardware_error_status"]).data == 0  # it has started anew
+    assert sim.read(2, TABLE["hardware_error_status"]).data == 0  # the servo has restarted
     bus.clock.sleep_until(10.0)
     assert answering(sim) == [1, 2, 3]  # what was cleared before its time does not come
 

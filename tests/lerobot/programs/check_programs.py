@@ -26,7 +26,7 @@ TIMEOUT = 600.0
 """s. A program imports PyTorch first, which takes a minute on a busy machine."""
 
 ATTEMPTS = 3
-"""LeRobot waits once for a reply, 50 ms. A busy machine may take longer."""
+"""Attempts of a program. LeRobot waits 50 ms for a reply, and a busy machine may take longer."""
 NO_REPLY = ("There is no status packet", "Missing motor IDs")
 
 SWING_TICKS = 300

@@ -1,4 +1,4 @@
-"""Arms of seven hinges with one joint fixed: all branches, judged by MuJoCo."""
+"""Arms of seven hinges with one joint fixed: all branches, compared with MuJoCo."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def test_random_arms_of_the_panda_class_have_all_branches(seed, tmp_path):
 
 
 @pytest.mark.parametrize(("name", "joint"), [("panda", LAST), ("srs_arm", -1)])
-def test_no_other_method_finds_a_branch_that_is_not_listed(name, joint):
+def test_solve_all_lists_every_branch_that_lm_finds(name, joint):
     robot = rik.load_robot(name)
     joint = joint if isinstance(joint, str) else robot.joints[joint]
     rng = np.random.default_rng(2)
@@ -65,7 +65,7 @@ def test_no_other_method_finds_a_branch_that_is_not_listed(name, joint):
     assert seen > 30
 
 
-def test_a_fixed_joint_makes_the_panda_an_arm_of_the_class():
+def test_the_panda_with_a_fixed_joint_has_a_closed_form():
     robot = rik.load_robot("panda")
     pose = robot.forward(robot.home)
     with pytest.raises(UnsupportedGoalError):
@@ -97,12 +97,12 @@ def test_branches_of_a_fixed_joint_are_measured_on_the_whole_robot():
     assert touching > 0
 
 
-def test_the_shoulder_in_line_keeps_its_start():
+def test_aligned_shoulder_axes_keep_the_angle_of_the_start():
     robot = rik.load_robot("panda")
     rng = np.random.default_rng(5)
     for _ in range(30):
         q = robot.sample(rng)
-        q[1] = 0.0  # axes 1 and 3 in line: only q1 + q3 counts
+        q[1] = 0.0  # axes 1 and 3 are aligned, so only q1 + q3 counts
         pose = robot.measure(q)
         branches = rik.solve_all(robot, pose, start=q, fixed={LAST: q[-1]})
         assert np.abs(branches[0].q - q).max() < 1e-6
@@ -110,7 +110,7 @@ def test_the_shoulder_in_line_keeps_its_start():
             assert max(robot.measure(branch.q).distance(pose)) < 1e-6
 
 
-def test_a_pose_beyond_the_elbow_is_proven_out_of_reach_and_others_are_not():
+def test_a_pose_beyond_the_range_of_the_elbow_is_proven_out_of_reach():
     robot = rik.load_robot("panda").with_fixed({LAST: 0.5})
     rng = np.random.default_rng(6)
     far = rik.Pose((0.9, 0.0, 0.9))
@@ -122,7 +122,7 @@ def test_a_pose_beyond_the_elbow_is_proven_out_of_reach_and_others_are_not():
         assert solution.status is not rik.Status.UNREACHABLE
 
 
-def test_fixed_joints_leave_q_and_keep_the_poses():
+def test_fixed_joints_are_removed_from_q_and_keep_the_poses():
     robot = rik.load_robot("panda")
     rng = np.random.default_rng(7)
     for _ in range(10):

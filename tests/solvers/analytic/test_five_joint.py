@@ -1,4 +1,4 @@
-"""Five joints: exact position, best orientation, proofs; judged by MuJoCo and by other methods."""
+"""Five joints: exact position, best orientation, proofs, against MuJoCo and other methods."""
 
 import itertools
 
@@ -46,7 +46,7 @@ def test_no_other_method_finds_a_better_orientation(name, free_axis):
         assert (robot.lower <= solution.q).all() and (solution.q <= robot.upper).all()
         others = rik.Problem(robot, goal, solver="lm")
         for q in configurations_at(robot, pose.position, rng, 8):
-            # Tolerances of 0.1 mm and the bound is for the exact position, hence the margin.
+            # The tolerance is 0.1 mm and the bound is for the exact position, so it needs a margin.
             better = others.solve(q)
             if better.error.position < EXACT_POSITION:
                 assert better.error.angle > solution.angle_bound - 1e-4
@@ -83,7 +83,8 @@ def test_a_pose_that_cannot_be_reached_keeps_the_position(name):
     np.testing.assert_array_equal(plain.q, best.q)
     degrees = f"{np.degrees(plain.error.angle):.1f}°"
     sentence = (
-        f"position reached; orientation {degrees} off, and no configuration of this arm does better"
+        f"position reached; the orientation error of {degrees} "
+        "is the smallest possible for this arm"
     )
     assert plain.meaning == sentence
     with pytest.raises(NotConvergedError, match=sentence):
@@ -91,7 +92,7 @@ def test_a_pose_that_cannot_be_reached_keeps_the_position(name):
 
 
 @arms
-def test_the_spelling_by_priorities_is_the_same(name):
+def test_a_best_goal_equals_goals_of_two_priorities(name):
     robot = load(name)
     rng = np.random.default_rng(3)
     pose = random_pose(robot, rng)
@@ -143,7 +144,7 @@ def test_a_position_out_of_reach_is_proven_and_the_nearest_is_kept(name):
 
 @pytest.mark.parametrize("tolerance", [rik.Tolerance(1e-4, 1e-3), rik.Tolerance(1e-2, 5e-2)])
 @arms
-def test_what_is_within_tolerance_of_a_reachable_pose_is_not_called_unreachable(name, tolerance):
+def test_a_goal_within_tolerance_of_a_reachable_pose_is_not_unreachable(name, tolerance):
     robot = load(name)
     rng = np.random.default_rng(5)
     problem = rik.Problem(robot, rik.Pose(), tolerance=tolerance, solver="analytic")
@@ -162,7 +163,7 @@ def test_what_is_within_tolerance_of_a_reachable_pose_is_not_called_unreachable(
 
 
 @pytest.mark.parametrize("tool", ["marker", "on_roll_axis"])
-def test_the_tool_may_be_anywhere(tool):
+def test_the_closed_form_supports_any_tool_frame(tool):
     robot = load("so101", tool)
     rng = np.random.default_rng(6)
     for _ in range(20):
@@ -225,7 +226,7 @@ def test_solve_all_returns_the_optimum_of_each_branch(name):
 
 @pytest.mark.parametrize("orientation", ["exact", "best"])
 @arms
-def test_a_batch_gives_the_same_as_single_solves(name, orientation):
+def test_a_batch_equals_single_solves(name, orientation):
     robot = load(name)
     rng = np.random.default_rng(9)
     poses = [random_pose(robot, rng) for _ in range(20)]
@@ -313,7 +314,7 @@ def test_follow_reports_a_better_branch():
     assert report.better.error.angle < worst.angle - np.radians(1.0)
 
 
-def test_a_joint_that_does_not_move_the_tool_stays_where_it_is():
+def test_a_joint_that_does_not_move_the_tool_keeps_its_value():
     robot = load("so101")
     rng = np.random.default_rng(12)
     start = robot.home.copy()
@@ -334,7 +335,7 @@ def test_a_start_at_the_goal_takes_no_iteration():
         np.testing.assert_array_equal(solution.q, q)
 
 
-def test_the_same_call_gives_the_same_bits():
+def test_the_same_call_gives_equal_bits():
     robot = load("so101")
     rng = np.random.default_rng(14)
     goals = [best_goal(random_pose(robot, rng)) for _ in range(5)]

@@ -1,4 +1,4 @@
-"""Proofs of unreachable goals: sound to the tolerance, and of some use."""
+"""Proofs of unreachable goals: sound to the tolerance, and found for most of these goals."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ ARMS = {
     "right_arm": ("right_arm", "right_hand"),
     "left_leg": ("left_leg", "left_foot"),
 }
-# Of these only the elbow is followed by the proof.
+# For these the proof evaluates only the elbow.
 LIMBS = ("srs_arm", "right_arm", "left_leg")
 TOLERANCES = [Tolerance(1e-4, 1e-3), Tolerance(1e-2, 5e-2), Tolerance(1e-6, 1e-6)]
 
@@ -50,8 +50,8 @@ def row(pose):
     return np.concatenate([pose.position, pose.rotation.ravel()])
 
 
-def called_unreachable(robot, goal, tolerance, poses):
-    """(n,) what the proof alone says, whether or not a solution would be found."""
+def proven_unreachable(robot, goal, tolerance, poses):
+    """Return (n,) whether the proof calls poses unreachable, without solving them."""
     problem = Problem(robot, goal, solver="lm", tolerance=tolerance)
     if limb := limb_of(problem):
         run = limb_proof.RUN.allocate(
@@ -86,8 +86,8 @@ def called_unreachable(robot, goal, tolerance, poses):
     return np.array(found)
 
 
-def edge_cases(robot, rng):
-    """Joint angles inside the limits, many of them at a limit or where axes fall in line."""
+def random_q_at_edges(robot, rng):
+    """Joint angles inside the limits, many of them at a limit or with aligned axes."""
     q = robot.sample(rng)
     luck = rng.random(robot.nq)
     q = np.where((luck < 0.15) & np.isfinite(robot.upper), robot.upper, q)
@@ -97,14 +97,14 @@ def edge_cases(robot, rng):
 
 @pytest.mark.parametrize("tolerance", TOLERANCES)
 @pytest.mark.parametrize("name", [*ARMS, "two links"])
-def test_what_is_within_tolerance_of_a_reachable_pose_is_never_called_unreachable(
+def test_a_goal_within_tolerance_of_a_reachable_pose_is_never_unreachable(
     name, tolerance, tmp_path
 ):
     robot = arm(name, tmp_path)
     rng = np.random.default_rng(1)
     poses = []
     for k in range(700):
-        pose = robot.forward(edge_cases(robot, rng))
+        pose = robot.forward(random_q_at_edges(robot, rng))
         share = 0.9999 if k % 2 else rng.random()
         poses.append(
             Pose(
@@ -114,11 +114,11 @@ def test_what_is_within_tolerance_of_a_reachable_pose_is_never_called_unreachabl
         )
     pose = robot.forward(robot.home)
     goal = PositionGoal(None, pose.position) if name == "two links" else PoseGoal.at(None, pose)
-    assert not called_unreachable(robot, goal, tolerance, poses).any()
+    assert not proven_unreachable(robot, goal, tolerance, poses).any()
 
 
 @pytest.mark.parametrize("name", [*ARMS, "two links"])
-def test_most_of_what_has_no_solution_is_proven(name, tmp_path):
+def test_most_unreachable_goals_are_proven(name, tmp_path):
     robot = arm(name, tmp_path)
     rng = np.random.default_rng(2)
     centre, radius = robot.reach()
@@ -131,7 +131,7 @@ def test_most_of_what_has_no_solution_is_proven(name, tmp_path):
             )
             for _ in range(120)
         ]
-    proven = called_unreachable(robot, goals[0], TOLERANCES[0], [g.target for g in goals])
+    proven = proven_unreachable(robot, goals[0], TOLERANCES[0], [g.target for g in goals])
     solver = "auto" if name in LIMBS else "analytic"
     missed = 0
     for goal, never in zip(goals, proven, strict=True):
@@ -141,15 +141,15 @@ def test_most_of_what_has_no_solution_is_proven(name, tmp_path):
     assert proven.sum() >= (0.5 if name in LIMBS else 0.97) * missed > 0
 
 
-def test_a_hole_within_reach_is_proven_without_limits():
+def test_a_hole_in_the_workspace_is_proven_without_limits():
     robot = load_robot("puma560")
     free = robot.forward(robot.home)
     column = Pose((0.02, 0.03, free.position[2]), free.wxyz)
     for pose, never in ((column, True), (free, False)):
-        assert called_unreachable(robot, PoseGoal.at(None, free), TOLERANCES[0], [pose])[0] == never
+        assert proven_unreachable(robot, PoseGoal.at(None, free), TOLERANCES[0], [pose])[0] == never
 
 
-def test_status_and_batch_tell_the_proof():
+def test_status_and_batch_report_the_proof():
     robot = load_robot("puma560")
     rng = np.random.default_rng(3)
     poses = np.array([robot.forward(robot.sample(rng)).matrix for _ in range(20)])

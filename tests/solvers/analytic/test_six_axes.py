@@ -1,4 +1,4 @@
-"""Closed forms of random arms, given by lines in space: only the geometry can be recognised."""
+"""Closed forms of random arms whose names and frames are arbitrary."""
 
 import numpy as np
 import pytest
@@ -57,7 +57,7 @@ def crossed_axes(rng):
 
 
 def axes_of(rng, family):
-    """Directions and points of six axes; a spherical shoulder is a spherical wrist from behind."""
+    """Directions and points of six axes; a spherical shoulder is a reversed spherical wrist."""
     if family == "crossed":
         return crossed_axes(rng)
     h, p = parallel_axes(rng) if family == "parallel" else spherical_axes(rng)
@@ -103,7 +103,7 @@ def random_arm(rng, tmp_path, family, **options):
 
 @pytest.mark.parametrize("family", ARMS)
 @pytest.mark.parametrize("seed", range(8))
-def test_every_branch_meets_the_goal_and_the_sampled_one_is_among_them(family, seed, tmp_path):
+def test_every_branch_meets_the_goal_and_the_sampled_branch_is_listed(family, seed, tmp_path):
     rng = np.random.default_rng([seed, ARMS.index(family)])
     robot = random_arm(rng, tmp_path, family)
     for _ in range(6):
@@ -113,16 +113,14 @@ def test_every_branch_meets_the_goal_and_the_sampled_one_is_among_them(family, s
         assert 1 <= len(found) <= 8
         for branch in found:
             assert max(robot.measure(branch.q, "tool").distance(goal.target)) < 1e-7
-        assert (
-            np.abs(found[0].q - q).max() < 1e-6
-        )  # nearest to the start, and the start is one of them
+        assert np.abs(found[0].q - q).max() < 1e-6  # the nearest branch is the start
         distances = [np.sum((b.q - q) ** 2) for b in found]
         assert distances == sorted(distances)
         assert len({b.name for b in found}) == len(found)
 
 
 @pytest.mark.parametrize("family", ARMS)
-def test_a_millimetre_off_the_geometry_is_not_recognised(family, tmp_path):
+def test_a_geometry_with_a_millimetre_of_offset_is_not_recognised(family, tmp_path):
     rng = np.random.default_rng(5)
     h, p = axes_of(rng, family)
     moved = 0 if family == "shoulder" else 5
@@ -134,7 +132,7 @@ def test_a_millimetre_off_the_geometry_is_not_recognised(family, tmp_path):
     assert solve(robot, goal).solver == "lm"  # and auto does not need it
 
 
-def test_goals_without_a_closed_form_are_refused_by_name():
+def test_goals_without_a_closed_form_are_refused_with_their_name():
     robot = load_robot("puma560")
     for goal in (OrientationGoal("gripper", (1, 0, 0, 0)), PositionGoal("gripper", (-0.4, 0, 0.8))):
         with pytest.raises(UnsupportedGoalError, match="lm"):
@@ -145,14 +143,14 @@ def test_goals_without_a_closed_form_are_refused_by_name():
     ):
         solve(robot, goal, solver="analytic")
     with pytest.raises(
-        UnsupportedGoalError, match="\nsolve_all serves two parallel hinges"
+        UnsupportedGoalError, match="\nsolve_all supports two parallel hinges"
     ) as caught:
         solve_all(robot, goal)
     assert caught.value.able == ()
 
 
 @pytest.mark.parametrize("robot_name", ["puma560", "ur5e"])
-def test_exactly_singular_poses_are_all_solved_and_the_free_angle_stays(robot_name):
+def test_exactly_singular_poses_are_solved_and_keep_the_free_angle(robot_name):
     robot = load_robot(robot_name)
     rng = np.random.default_rng(3)
     solver = make_solver("analytic")
@@ -183,7 +181,7 @@ def test_next_to_a_singular_wrist_every_branch_meets_the_goal(robot_name, off):
         assert solve(robot, goal, solver="analytic", tolerance=TIGHT).converged
 
 
-# Six hinges without offset at the shoulder: the wrist's centre can stand on the first axis.
+# Six hinges without offset at the shoulder: the wrist's centre can be on the first axis.
 UPRIGHT = """<mujoco><compiler angle="radian"/><worldbody>
 <body><joint axis="0 0 1" range="-2 2"/><geom size="0.01"/>
 <body pos="0 0 0.3"><joint axis="0 1 0" range="-1.5 1.5"/><geom size="0.01"/>
@@ -194,7 +192,7 @@ UPRIGHT = """<mujoco><compiler angle="radian"/><worldbody>
 
 
 @pytest.mark.parametrize("name", ["ur5e", "upright"])
-def test_a_free_angle_gives_way_to_the_limits_of_the_other_joints(name):
+def test_a_free_angle_is_chosen_so_that_the_other_joints_keep_their_limits(name):
     robot = load_robot(UPRIGHT if name == "upright" else name)
     if name == "ur5e":
         robot = robot.with_limits([-3, -3, -2.5, -1.5, -2, -1.5], [3, 0, 2.5, 1.5, 2, 1.5])
@@ -248,7 +246,7 @@ def test_an_arm_stretched_to_the_limit_of_its_elbow_has_a_branch():
         assert np.max(errors) < 2e-6
 
 
-def test_a_goal_whose_branches_are_all_far_outside_the_limits_is_proven_and_approached(tmp_path):
+def test_a_goal_with_all_branches_outside_the_limits_is_proven_and_approached(tmp_path):
     rng = np.random.default_rng(6)
     robot = random_arm(rng, tmp_path, "spherical", limit=0.4)
     beyond = np.array([0.9, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -281,7 +279,7 @@ def test_a_path_through_half_a_turn_does_not_jump(tmp_path, name, off):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_two_links_in_a_plane_have_two_elbows_and_nothing_off_the_plane(seed, tmp_path):
+def test_two_links_in_a_plane_have_two_branches_and_none_off_the_plane(seed, tmp_path):
     rng = np.random.default_rng(seed)
     u = unit(rng)
     robot = arm_from_axes(
@@ -311,8 +309,8 @@ def test_two_links_in_a_plane_have_two_elbows_and_nothing_off_the_plane(seed, tm
         )
 
 
-def test_a_goal_a_little_beyond_a_limit_is_reached_within_its_tolerance():
-    # The exact target has no branch inside the limits, but one within tolerance of it has.
+def test_a_goal_slightly_beyond_a_limit_is_reached_within_its_tolerance():
+    # The exact target has no branch inside the limits, but a target within its tolerance has one.
     robot = load_robot("puma560")
     rng = np.random.default_rng(0)
     for i in range(90):
@@ -325,7 +323,7 @@ def test_a_goal_a_little_beyond_a_limit_is_reached_within_its_tolerance():
         assert solution.converged and not robot.outside(solution.q)
 
 
-def test_far_beyond_every_link_is_proven(tmp_path):
+def test_a_target_beyond_all_links_is_proven_out_of_reach(tmp_path):
     robot = load_robot("puma560")
     far = solve(robot, PoseGoal("gripper", (3.0, 0.0, 1.0)), solver="analytic")
     assert far.status is Status.UNREACHABLE and np.array_equal(far.q, robot.home)
@@ -333,7 +331,7 @@ def test_far_beyond_every_link_is_proven(tmp_path):
 
 @settings(max_examples=30, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 2**32), family=st.sampled_from(ARMS))
-def test_what_is_within_tolerance_of_a_reachable_pose_is_never_called_unreachable(
+def test_a_goal_within_tolerance_of_a_reachable_pose_is_never_unreachable(
     seed, family, tmp_path_factory
 ):
     rng = np.random.default_rng(seed)

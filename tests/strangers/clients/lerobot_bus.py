@@ -1,4 +1,4 @@
-"""LeRobot connects, calibrates, drives and leaves a Koch. Run by check_clients.py: PORT."""
+"""LeRobot connects to a Koch, calibrates, drives and disconnects. Run by check_clients.py: PORT."""
 
 import os
 import sys

@@ -1,4 +1,4 @@
-"""LeRobot's way with an SO-101 follower: connect, calibrate, drive, leave. Argument: PORT."""
+"""LeRobot with an SO-101 follower: connect, calibrate, drive, leave. Argument: PORT."""
 
 import os
 import sys
@@ -32,7 +32,7 @@ offsets = bus.set_half_turn_homings()
 middle = bus.sync_read("Present_Position", normalize=False)
 assert all(abs(ticks - 2047) <= 1 for ticks in middle.values()), middle
 
-# Enter, four seconds later: until then the faults of the server turn the joints.
+# Enter comes after four seconds. Until then the faults of the server turn the joints.
 reader, writer = os.pipe()
 sys.stdin = os.fdopen(reader)
 threading.Timer(4.0, lambda: os.write(writer, b"\n")).start()

@@ -1,4 +1,4 @@
-"""LeRobot gives a fresh STS3215 (id 1) its id and rate. Argument: PORT."""
+"""LeRobot sets id and rate of a new STS3215 (id 1). Argument: PORT."""
 
 import sys
 

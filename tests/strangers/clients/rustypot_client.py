@@ -1,4 +1,4 @@
-"""rustypot's XL330 controller.  Run by check_clients.py: rustypot_client.py PORT."""
+"""rustypot's XL330 controller. Run by check_clients.py: rustypot_client.py PORT."""
 
 import sys
 import time
@@ -10,7 +10,7 @@ io = Xl330PyController(sys.argv[1], 1_000_000, 0.5)
 assert all(io.ping(id) for id in IDS) and not io.ping(77)
 assert io.sync_read_raw_present_position(IDS) == [2048] * 3
 assert [io.read_register(id, "model_number") for id in IDS] == [1200] * 3
-# Every register it knows is there, but for two kinds: Indirect Data moved in firmware 52, and
+# All its registers exist, except two kinds: Indirect Data moved in firmware 52, and
 # Acceleration Limit is not in the manual's table of this model.
 for register in Xl330PyController.registers():
     if not register.name.startswith(("indirect_data", "acceleration_limit")):

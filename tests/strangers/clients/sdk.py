@@ -1,4 +1,4 @@
-"""The official SDK, every instruction it has.  Run by check_clients.py: sdk.py PORT."""
+"""All instructions of the official SDK. Run by check_clients.py: sdk.py PORT."""
 
 import sys
 import time
@@ -37,7 +37,7 @@ def settled(id: int, goal: int) -> bool:
 
 
 assert port.openPort() and port.setBaudRate(57_600)
-assert sdk.ping(port, 1)[1] == COMM_RX_TIMEOUT  # they talk at 1 M
+assert sdk.ping(port, 1)[1] == COMM_RX_TIMEOUT  # the servos use 1 Mbaud
 assert port.setBaudRate(1_000_000)
 assert [sdk.ping(port, id) for id in IDS] == [(1020, COMM_SUCCESS, 0)] * 3
 found, result = sdk.broadcastPing(port)

@@ -1,6 +1,6 @@
-"""LeRobot's utilities import PyTorch and two more at their top and use none of it for motors.
+"""Empty modules for packages that LeRobot's utilities import but do not use for motors.
 
-Empty modules in their place let its own, unmodified motor files run without the gigabytes.
+With them the unmodified motor files of LeRobot run without PyTorch and two other packages.
 """
 
 import sys

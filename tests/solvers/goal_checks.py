@@ -1,6 +1,6 @@
-"""Goals of every kind, and a judge that knows nothing of ``Goal.error``.
+"""Goals of every kind, and their errors without ``Goal.error``.
 
-It reads what a goal says in public and asks MuJoCo where things are.
+The errors are computed from the public fields of a goal and from MuJoCo's forward pass.
 """
 
 from functools import cache
@@ -45,7 +45,7 @@ BODY = {"humanoid": "right_upper_arm", "puma560": None, "srs_arm": None}
 
 
 def goals_met_at(robot, q):
-    """A goal of every kind and of every part, met at q (nq,), by what it is called in the tests."""
+    """Return goals of every kind and part that are met at q (nq,), by their names in the tests."""
     pose = robot.forward(q)
     (eye, axis) = LOOKS[robot.name]
     eye_pose = robot.forward(q, eye)
@@ -68,13 +68,13 @@ def goals_met_at(robot, q):
         "balance": CenterOfMassGoal(body, robot.center_of_mass(q, body), axes="xy"),
         "posture": PostureGoal(q=q),
         "some joints": PostureGoal(
-            q=q, joints={robot.joints[-1]: 3.0, robot.joints[-3]: 1.0}, only=True
+            q=q, joints={robot.joints[-1]: 3.0, robot.joints[-3]: 1.0}, only_named=True
         ),
     }
 
 
 def near(robot, seed, way=0.35):
-    """A q (nq,) inside the limits and not far from home."""
+    """Return a q (nq,) inside the limits near home."""
     rng = np.random.default_rng(seed)
     return robot.clip(robot.integrate(robot.home, rng.uniform(-way, way, robot.nv)))
 
@@ -105,14 +105,14 @@ def angle_between(a, b):
 
 
 def measured(robot, q, goal):
-    """Metres and radians off, from MuJoCo's data and the goal's public fields alone."""
+    """Return the error in metres and radians, from MuJoCo's data and the goal's public fields."""
     model = robot.model
     data = data_of(robot)
     data.qpos[:] = robot.qpos(q)
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     if isinstance(goal, PostureGoal):
-        return joints_off(robot, data.qpos, goal)
+        return joint_errors(robot, data.qpos, goal)
     if isinstance(goal, CenterOfMassGoal):
         off = goal.position - data.subtree_com[model.body(goal.frame).id if goal.frame else 0]
         return float(np.linalg.norm([off["xyz".index(a)] for a in goal.axes])), 0.0
@@ -153,14 +153,14 @@ def measured(robot, q, goal):
     return float(across[type(goal)]), 0.0
 
 
-def joints_off(robot, qpos, goal):
-    """The largest way of a joint that counts, metres and radians."""
+def joint_errors(robot, qpos, goal):
+    """Return the largest distance of a joint that counts, metres and radians."""
     model = robot.model
     way = np.zeros(robot.model.nv)
     mujoco.mj_differentiatePos(model, way, 1.0, qpos, robot.qpos(goal.q))
     metres = radians = 0.0
     for name in robot.joints:
-        if goal.joints.get(name, 0.0 if goal.only else 1.0) == 0.0:
+        if goal.joints.get(name, 0.0 if goal.only_named else 1.0) == 0.0:
             continue
         joint = model.joint(name)
         first = int(model.joint(name).dofadr[0])
