@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -15,10 +16,10 @@ from robot_ik.geometry import Pose
 from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
 
-SUCCESS_POSITION = 1e-4
+SUCCESS_POSITION = 1e-3
 """Largest position error of a success, m."""
 
-SUCCESS_ANGLE = 1e-3
+SUCCESS_ANGLE = math.radians(1.0)
 """Largest angle error of a success, rad."""
 
 EXACT = 1e-6

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import robot_ik as rik
-from benchmarks.peers.worker import Library, Task
+from benchmarks.peers.library import Library, Task
 from robot_ik.errors import DISTRIBUTION
 from robot_ik.ports import Array
 

@@ -33,6 +33,19 @@ PLACE = re.compile(r"(<!-- measured: (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL
 
 ROBOTS = {"puma560": "PUMA 560", "ur5e": "UR5e", "panda": "Panda"}
 BENCHES = ("methods", "kernels", "batch")
+
+SOLVES = 0.99
+"""Share of problems that a contestant must solve to be compared as the best."""
+
+CLOSED_FORMS = ("robot_ik_analytic", "eaik", "ssik", "rtb_analytic")
+"""Contestants that use nothing but a closed form."""
+
+VARIANTS = ("robot_ik_lm", "robot_ik_analytic")
+"""Our contestants beside the default."""
+
+NEAREST = ("robot_ik", "placo", "mink", "pink", "pyroki")
+"""Contestants whose answer is near a pose out of reach. The others give up."""
+
 PICTURES = {
     "methods/success-puma560.png": "performance-success.png",
     "methods/convergence-puma560.png": "performance-convergence.png",
@@ -57,8 +70,8 @@ def collect(results: Path) -> dict[str, Any]:
     if (results / "peers").is_dir():
         peers_file = json.loads((results / "peers" / "peers.json").read_text(encoding="utf-8"))
         comparison = {key: peers_file[key] for key in ("count", "rounds", "seconds", "seed")} | {
-            "when": peers_file["machine"]["when"],
-            "missing": sorted({**peers_file["missing"], **peers_file["failed"]}),
+            "machine": peers_file["machine"],
+            "missing": peers_file["missing"] | peers_file["failed"],
         }
         data |= {"comparison": comparison, "peers": collect_peers(peers_file)}
         data["four_goals"] = collect_four_goals(peers_file)
@@ -86,7 +99,8 @@ def collect_peers(peers_file: dict[str, Any]) -> dict[str, Any]:
     """Return contestant -> robot -> kind of problem, from the file of `benchmarks.peers`."""
     peers: dict[str, Any] = {}
     for name, library in peers_file["libraries"].items():
-        peers[name] = {"versions": library["versions"], "calibration_us": library["calibration_us"]}
+        keys = ("versions", "settings", "calibration_us")
+        peers[name] = {key: library[key] for key in keys}
         for robot, cells in library["robots"].items():
             if robot in ROBOTS:
                 peers[name][robot] = {kind: cells[kind] for kind in ("cold", "warm", "unreachable")}
@@ -100,11 +114,12 @@ def collect_peers(peers_file: dict[str, Any]) -> dict[str, Any]:
 
 
 def collect_four_goals(peers_file: dict[str, Any]) -> dict[str, Any]:
-    """Return contestant -> cold or warm: placo, and ours (`auto` uses `lm` for these goals)."""
-    figures = {
-        name: library["robots"].get("humanoid") for name, library in peers_file["libraries"].items()
+    """Return contestant -> cold or warm. `auto` uses `lm` for these goals."""
+    return {
+        name: library["robots"]["humanoid"]
+        for name, library in peers_file["libraries"].items()
+        if "humanoid" in library["robots"] and name != "robot_ik_lm"
     }
-    return {name: figures[name] for name in ("robot_ik", "placo") if figures.get(name)}
 
 
 Data = dict[str, Any]
@@ -127,21 +142,61 @@ def us(value: float) -> str:
 
 
 def machine(data: Data) -> str:
-    """Return machine, versions and time of the measurement."""
-    m = data["machine"]
-    peers = data["peers"]
-    versions: dict[str, str] = {}
-    for library in peers.values():
-        versions |= library["versions"]
-    versions |= m["versions"]
-    named = ", ".join(f"{name} {version}" for name, version in sorted(versions.items()))
-    speeds = [x for library in peers.values() for x in library["calibration_us"]]
+    """Return machine, versions and time of our own benchmarks."""
+    return filled_line(on_machine(data["machine"]))
+
+
+def comparison(data: Data) -> str:
+    """Return machine, versions, time and size of the comparison, and what is missing."""
+    asked = data["comparison"]
+    speeds = [speed for library in data["peers"].values() for speed in library["calibration_us"]]
     text = (
-        f"{m['processor']}, {m['cores']} cores, {m['system']}, Python {m['python']}; {named}; "
-        f"{m['when']}. Between the contestants a loop of plain Python took {min(speeds):.0f} … "
-        f"{max(speeds):.0f} µs, which shows how much the speed of the machine varied."
+        f"{on_machine(asked['machine'])} Seed {asked['seed']}, {asked['count']} problems of a "
+        f"kind, at most {asked['seconds']:g} s for each kind, rounds: {asked['rounds']}. Between "
+        f"the contestants a loop of plain Python took {min(speeds):.0f} … {max(speeds):.0f} µs, "
+        f"which shows how much the speed of the machine varied."
     )
-    return textwrap.fill(text, LINE_LENGTH, break_on_hyphens=False) + "\n"
+    names_by_reason: dict[str, list[str]] = {}
+    for name, reason in asked["missing"].items():
+        names_by_reason.setdefault(reason, []).append(f"`{name}`")
+    for reason, names in names_by_reason.items():
+        text += f" Not measured: {', '.join(names)} ({reason})."
+    return filled_line(f"{text} {asked.get('note', '')}".strip())
+
+
+def on_machine(about: dict[str, Any]) -> str:
+    """Return a sentence about a machine: processor, versions, time and load."""
+    versions = ", ".join(f"{name} {version}" for name, version in about["versions"].items())
+    return (
+        f"{about['processor']}, {about['cores']} cores, {about['system']}, Python "
+        f"{about['python']}; {versions}; {about['when']}. The load average before was "
+        f"{about['load']:.1f}."
+    )
+
+
+def filled_line(text: str, indent: str = "") -> str:
+    """Return a paragraph in lines of the length of the page."""
+    return (
+        textwrap.fill(
+            text,
+            LINE_LENGTH,
+            break_on_hyphens=False,
+            break_long_words=False,
+            subsequent_indent=indent,
+        )
+        + "\n"
+    )
+
+
+def contestants(data: Data) -> str:
+    """Return a list of the contestants with versions and settings."""
+    lines = []
+    for name, library in data["peers"].items():
+        first = next(iter(library["versions"].items()))
+        commits = [(k, v) for k, v in library["versions"].items() if v.startswith("commit")]
+        versions = ", ".join(f"{key} {version}" for key, version in [first, *commits])
+        lines.append(filled_line(f"* `{name}`: {versions}; {library['settings']}", "  "))
+    return "".join(lines)
 
 
 def peers_cold(data: Data) -> str:
@@ -162,7 +217,7 @@ def peers_table(data: Data, mode: str, keys: tuple[str, ...]) -> str:
         if row is None:
             return "-"
         jumps = f", {row['jumps']} jumps" if row["jumps"] else ""
-        return f"{100 * row['exact']:.1f} / " + " / ".join(us(row[key]) for key in keys) + jumps
+        return f"{100 * row['success']:.1f} / " + " / ".join(us(row[key]) for key in keys) + jumps
 
     rows = [
         (f"`{name}`", *(cell(library, robot) for robot in ROBOTS))
@@ -190,59 +245,64 @@ def peers_edge(data: Data) -> str:
     return table(head, [row(name, library) for name, library in data["peers"].items()])
 
 
+def peers_exact(data: Data) -> str:
+    """Cold poses within the tolerance itself, where fewer are than within 1 mm and 1 degree."""
+    rows = []
+    for name, library in data["peers"].items():
+        cells = [library.get(robot, {}).get("cold") for robot in ROBOTS]
+        if any(cell and cell["exact"] < cell["success"] for cell in cells):
+            shown = [f"{100 * cell['exact']:.1f}" if cell else "-" for cell in cells]
+            rows.append((f"`{name}`", *shown))
+    return table(("within 1e-6 m and 1e-6 rad, %", *ROBOTS.values()), rows)
+
+
 def ratios(data: Data) -> str:
     """Return the table of our times and those of the best other library, in the same run."""
     peers = data["peers"]
-    four = data["four_goals"]
-
-    def line(
-        case: str, other: str, theirs: float, mine: float, ours: str = "robot_ik"
-    ) -> tuple[str, ...]:
-        return case, f"`{other}` {us(theirs)}", f"`{ours}` {us(mine)}", f"{mine / theirs:.2f}"
-
+    any_method = {name: peers[name] for name in peers if name not in VARIANTS}
+    numeric_names = [name for name in peers if name not in CLOSED_FORMS]
     rows = []
-    for robot in ("puma560", "ur5e"):
-        mine = peers["robot_ik"][robot]["cold"]
-        theirs = peers["eaik"][robot]["cold"]
-        rows.append(
-            line(
-                f"cold {ROBOTS[robot]}, any method: mean",
-                "eaik",
-                theirs["mean_us"],
-                mine["mean_us"],
-            )
-        )
     for robot, title in ROBOTS.items():
-        mine = peers["robot_ik_lm"][robot]["cold"]
-        theirs = peers["rtb_lm"][robot]["cold"]
+        case = f"cold {title}, any method: mean"
+        rows.append(ratio(case, of_set(any_method, robot, "cold"), "mean_us"))
+    for robot, title in ROBOTS.items():
+        numeric = of_set({name: peers[name] for name in numeric_names}, robot, "cold")
+        numeric.pop("robot_ik", None)  # it uses the closed form if there is one
         for key, statistic in (("mean_us", "mean"), ("p99_us", "p99")):
-            case = f"cold {title}, numeric: {statistic}"
-            rows.append(line(case, "rtb_lm", theirs[key], mine[key], "robot_ik_lm"))
+            rows.append(ratio(f"cold {title}, numeric: {statistic}", numeric, key))
     for robot, title in ROBOTS.items():
-        warm = {
-            name: peers[name][robot]["warm"]["median_us"] for name in peers if robot in peers[name]
-        }
-        best = min(("rtb_lm", "placo"), key=lambda name: warm[name])
-        ours = min(("robot_ik", "robot_ik_lm"), key=lambda name: warm[name])
-        rows.append(line(f"warm {title}: median", best, warm[best], warm[ours], ours))
-    far = {name: peers[name]["puma560"]["unreachable"]["median_us"] for name in peers}
-    proof = "robot_ik_analytic"
-    rows.append(line("out of reach, proof: median", "eaik", far["eaik"], far[proof], proof))
-    rows.append(
-        line("out of reach, nearest answer: median", "placo", far["placo"], far["robot_ik"])
-    )
+        rows.append(ratio(f"warm {title}: median", of_set(peers, robot, "warm"), "median_us"))
+    far = {name: library["puma560"]["unreachable"] for name, library in peers.items()}
+    closed = {name: cell for name, cell in far.items() if name in CLOSED_FORMS}
+    nearest = {name: cell for name, cell in far.items() if name in NEAREST}
+    rows.append(ratio("out of reach, closed form: median", closed, "median_us"))
+    rows.append(ratio("out of reach, nearest answer: median", nearest, "median_us"))
     for mode in ("cold", "warm"):
-        mine = four["robot_ik"][mode]
-        theirs = four["placo"][mode]
-        rows.append(
-            line(
-                f"four goals, humanoid, {mode}: median",
-                "placo",
-                theirs["median_us"],
-                mine["median_us"],
-            )
-        )
+        cells = {name: modes[mode] for name, modes in data["four_goals"].items()}
+        rows.append(ratio(f"four goals, humanoid, {mode}: median", cells, "median_us"))
     return table(("case, µs", "best of the others", "ours", "ratio"), rows)
+
+
+def of_set(peers: Data, robot: str, kind: str) -> Data:
+    """Return the cells of the contestants that solve a set of problems often enough."""
+    cells = {name: library.get(robot, {}).get(kind) for name, library in peers.items()}
+    return {name: cell for name, cell in cells.items() if cell and cell["success"] >= SOLVES}
+
+
+def ratio(case: str, cells: Data, key: str) -> tuple[str, ...]:
+    """Return a row: the fastest of the others, the fastest of ours, and the ratio of times."""
+    best = {}
+    for is_ours in (False, True):
+        names = [name for name in cells if name.startswith("robot_ik") is is_ours]
+        best[is_ours] = min(names, key=lambda name: cells[name][key])
+    theirs = cells[best[False]][key]
+    mine = cells[best[True]][key]
+    return (
+        case,
+        f"`{best[False]}` {us(theirs)}",
+        f"`{best[True]}` {us(mine)}",
+        f"{mine / theirs:.2f}",
+    )
 
 
 def goals4(data: Data) -> str:
@@ -262,17 +322,6 @@ def goals4(data: Data) -> str:
             *(f"{mode}: {statistic}" for mode in ("cold", "warm") for statistic in shape),
         ),
         rows,
-    )
-
-
-def comparison(data: Data) -> str:
-    """Return the date, seed, problems and rounds of the comparison."""
-    asked = data["comparison"]
-    missing = f" Not installed: {', '.join(asked['missing'])}." if asked["missing"] else ""
-    return (
-        f"Measured {asked['when']}: seed {asked['seed']}, {asked['count']} problems of a kind, "
-        f"{asked['rounds']} rounds.{missing} {asked.get('note', '')}".strip()
-        + "\n"
     )
 
 
@@ -339,8 +388,10 @@ TABLES: dict[str, Callable[[Data], str]] = {
     for make in (
         machine,
         comparison,
+        contestants,
         ratios,
         peers_cold,
+        peers_exact,
         peers_warm,
         peers_edge,
         goals4,

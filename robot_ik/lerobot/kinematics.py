@@ -9,6 +9,7 @@ It imports neither LeRobot nor placo. LeRobot's processor steps take it as their
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 
@@ -150,13 +151,24 @@ class Kinematics:
         if self._is_whole or not self._is_far(start, target):
             return near
         far = self._far.solve(start, target=target)
-        is_nearer = far.error.position < near.error.position - FAR_POSITION
-        is_better = far.error.angle < near.error.angle - BETTER_ANGLE
+        near_position, near_angle = self._distance(near.q, target)
+        far_position, far_angle = self._distance(far.q, target)
+        is_nearer = far_position < near_position - FAR_POSITION
+        is_better = far_angle < near_angle - BETTER_ANGLE
         return far if is_nearer or is_better else near
 
     def _is_far(self, start: Array, target: Pose) -> bool:
-        metres, radians = self.robot.forward(start, self.frame).distance(target)
+        metres, radians = self._distance(start, target)
         return metres > FAR_POSITION or radians > FAR_ANGLE
+
+    def _distance(self, q: Array, target: Pose) -> tuple[float, float]:
+        """Return the metres and radians between the frame at ``q`` (nq,) and a target."""
+        # Arrays instead of a `Pose`, which would take as long as the solve.
+        position = np.empty((1, 3))
+        wxyz = np.empty((1, 4))
+        self.robot.forward_rows(q[None], self.frame, position, wxyz)
+        cosine = min(1.0, abs(float(wxyz[0] @ target.wxyz)))  # of half the angle
+        return math.dist(position[0], target.position), 2.0 * math.acos(cosine)
 
 
 def _joints_that_move(robot: Robot, frame: str | None) -> tuple[str, ...]:

@@ -13,9 +13,12 @@ import pytest
 
 import robot_ik as rik
 from benchmarks.peers import worker
-from benchmarks.peers.__main__ import compare, main
+from benchmarks.peers.__main__ import compare, install_commands, main
+from benchmarks.peers.closed_forms import standard_dh
 from benchmarks.peers.descriptions import frames_of, roll_pitch_yaw, urdf_of
+from benchmarks.peers.differential import Descent
 from benchmarks.peers.judge import merged
+from benchmarks.peers.library import Task, nearest_branch, wxyz_of
 from benchmarks.peers.tasks import ARMS, write_task
 
 COUNT = 20
@@ -25,6 +28,7 @@ import numpy as np
 
 class Library:
     needs = ("numpy",)
+    sources = {}
     settings = "made for a test"
 
     def setup(self, task):
@@ -86,7 +90,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("name", [*ARMS, "humanoid"])
 def test_every_form_of_a_robot_is_the_same_robot(name: str, tmp_path: Path) -> None:
     folder = write_task(name, tmp_path, COUNT, seed=1)
-    task = worker.Task.load(folder)
+    task = Task.load(folder)
     robot = rik.load_robot(folder / "model.xml")
     plain = mujoco.MjModel.from_xml_path(str(folder / "model.xml"))
     text = (folder / "model.urdf").read_text(encoding="utf-8")
@@ -190,6 +194,7 @@ def test_a_poor_peer_fails_and_one_that_is_missing_is_named(
     arguments = ["--out", str(out), "--count", str(COUNT), "--rounds", "1", "--robots", "puma560"]
     assert main(["run", *arguments, "--libraries", *names, f"{tmp_path}/none.py:Gone"]) == 1
     reported = capsys.readouterr().err
+    assert f"raised: {COUNT} of ArithmeticError: it broke" in reported
     results = json.loads((out / "peers.json").read_text(encoding="utf-8"))
 
     def cold(kind: str) -> Any:
@@ -219,8 +224,100 @@ def test_an_unknown_library_is_reported_with_the_known_names(
 
 
 def test_libraries_name_their_pip_packages() -> None:
-    for name, kind in worker.LIBRARIES.items():
-        assert isinstance(kind, str) or kind.needs, name
+    for name in worker.LIBRARIES:
+        assert worker.library_of(name).needs, name
+
+
+def test_the_environment_of_pyroki_has_its_sources_at_fixed_commits(tmp_path: Path) -> None:
+    kind = worker.library_of("pyroki")
+    commands = install_commands(kind, tmp_path / "pyroki")
+    for source in kind.sources.values():
+        assert any("clone" in command and source.url in command for command in commands)
+        assert any("checkout" in command and source.commit in command for command in commands)
+    lacking = [command for command in commands if "--no-deps" not in command and "pip" in command]
+    assert len(lacking) == 1 and set(kind.needs) <= set(lacking[0])
+
+
+@pytest.mark.parametrize("name", ["puma560", "ur5e", "panda"])
+def test_denavit_hartenberg_parameters_are_those_of_the_chain(name: str, tmp_path: Path) -> None:
+    folder = write_task(name, tmp_path, COUNT, seed=1)
+    task = Task.load(folder)
+    robot = rik.load_robot(folder / "model.xml")
+    base, parameters, tool = standard_dh(task.frames)
+    rng = np.random.default_rng(2)
+    for _ in range(5):
+        q = robot.sample(rng)
+        pose = base
+        for angle, (offset, d, a, alpha) in zip(q, parameters, strict=True):
+            c = np.cos(angle + offset)
+            s = np.sin(angle + offset)
+            ca = np.cos(alpha)
+            sa = np.sin(alpha)
+            link = np.array(
+                [
+                    [c, -s * ca, s * sa, a * c],
+                    [s, c * ca, -c * sa, a * s],
+                    [0.0, sa, ca, d],
+                    [0.0, 0.0, 0.0, 1.0],
+                ]
+            )
+            pose = pose @ link
+        np.testing.assert_allclose(pose @ tool, robot.measure(q, "ee").matrix, atol=1e-9)
+
+
+def test_the_nearest_branch_is_inside_the_limits(model: Path) -> None:
+    task = Task.load(model)
+    start = np.clip(np.zeros(6), task.lower, task.upper)
+    inside = 0.5 * (task.lower + task.upper)
+    beyond = start.copy()
+    beyond[0] = task.upper[0] + 0.1
+    several_turns = inside + 2.0 * np.pi
+    branch = nearest_branch(np.array([beyond, several_turns]), start, task)
+    np.testing.assert_allclose(branch, inside, atol=1e-9)
+    assert nearest_branch(np.array([beyond]), start, task) is None
+    assert nearest_branch(np.empty((0, 6)), start, task) is None
+
+
+def test_a_quaternion_of_a_rotation_matrix() -> None:
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        quaternion = rng.normal(size=4)
+        quaternion /= np.linalg.norm(quaternion)
+        rotation = np.zeros(9)
+        mujoco.mju_quat2Mat(rotation, quaternion)
+        assert abs(np.dot(wxyz_of(rotation.reshape(3, 3)), quaternion)) == pytest.approx(1.0)
+
+
+def test_a_descent_restarts_until_the_goal_is_met(model: Path) -> None:
+    class OnlyNear(Descent):
+        steps = 3
+        restarts = 50
+
+        def setup(self, task: Task) -> bool:
+            return self.prepare(task)
+
+        def aim(self, target: Any) -> None:
+            self.puts = 0
+
+        def put(self, q: Any) -> None:
+            self.q = q
+            self.puts += 1
+
+        def get(self) -> Any:
+            return self.q
+
+        def is_met(self) -> bool:
+            return self.puts == 4
+
+        def step(self) -> bool:
+            return True
+
+    library = OnlyNear()
+    task = Task.load(model)
+    assert library.setup(task)
+    q = library.solve(np.eye(4), task.home)
+    assert library.puts == 4
+    assert (q >= task.lower).all() and (q <= task.upper).all()
 
 
 def test_rounds_are_merged_by_success_of_all_and_time_of_the_fastest() -> None:
