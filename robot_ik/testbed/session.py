@@ -109,7 +109,7 @@ class Session(Closing):
         self._drag: commands.DragLink | None = None
         self._branches: tuple[BranchView, ...] = ()
         self._ready: Ready | None = None
-        self._waiting_count = 0  # setup commands whose results are not adopted
+        self._waiting_count = 1  # setups that are not adopted: that of the start
         self._figure: FigureSession | None = None
         self._frame: FigureFrame
         self.arm = arm
@@ -133,7 +133,7 @@ class Session(Closing):
 
     @property
     def busy(self) -> str:
-        """What is prepared beside the loop. Empty: every setup command has taken effect."""
+        """What is prepared beside the loop. Empty: every setup has taken effect."""
         return self._preparer.doing or ("preparing …" if self._waiting_count else "")
 
     @property
@@ -622,8 +622,7 @@ class Session(Closing):
 
     def _adopt(self, result: SetupDone) -> None:
         """Apply a prepared setup, or report why it could not be prepared."""
-        if result.command is not None:
-            self._waiting_count -= 1
+        self._waiting_count -= 1
         if result.ready is None:
             self.report(result.error)
             return

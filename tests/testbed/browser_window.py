@@ -8,9 +8,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from tests.doc_pages import script
-from tests.waiting import LONG
 
 measure_page = script("measure_page")
+
+PAGE_TIMEOUT = 60.0
+"""Seconds of one wait for the page. What waits for a compiler has ``LONG``."""
 
 HARMLESS = (
     "THREE.Clock: This module has been deprecated",
@@ -31,6 +33,38 @@ PIXEL = """([x, y, z]) => {
     return [box.left + (point.x + 1) / 2 * box.width, box.top + (1 - point.y) / 2 * box.height];
 }"""
 """The pixel of a point of the world."""
+
+COARSE = "fixedDpr=0.25"
+"""Part of the address: viser draws a sixteenth of the pixels. The layout stays the same."""
+
+SMOOTHING_OFF = "--webgl-antialiasing-mode=none"
+"""Argument of Chromium. Tests do not look at edges, and software draws them slowly."""
+
+SLOW_FRAMES = """(() => {
+    // Draws at most every 80 ms: without a GPU, 60 frames a second take more than a core.
+    const PERIOD_MS = 80;
+    const request = window.requestAnimationFrame.bind(window);
+    const waiting = new Map();
+    let lastId = 0;
+    let lastTime = -PERIOD_MS;
+    const run = (time) => {
+        lastTime = performance.now();
+        const due = [...waiting.values()];
+        waiting.clear();
+        for (const act of due) {
+            try { act(time); } catch (error) { reportError(error); }
+        }
+    };
+    window.requestAnimationFrame = (act) => {
+        if (waiting.size === 0) {
+            const rest = lastTime + PERIOD_MS - performance.now();
+            setTimeout(() => request(run), Math.max(0, rest));
+        }
+        waiting.set(++lastId, act);
+        return lastId;
+    };
+    window.cancelAnimationFrame = (id) => waiting.delete(id);
+})()"""
 
 INTRO_SEEN = "localStorage.setItem('robot_ik.intro.seen', '1')"
 
@@ -84,7 +118,7 @@ class Window:
             holds: The condition.
             failure: What is wrong if it never holds.
         """
-        end = time.monotonic() + LONG
+        end = time.monotonic() + PAGE_TIMEOUT
         self.repeat_until(lambda: self._drag_once(position, way, end), holds, failure)
 
     def press(self, key: str, holds: Callable[[], bool], failure: str, on: Any = None) -> None:
@@ -101,13 +135,14 @@ class Window:
         self, act: Callable[[], None], holds: Callable[[], bool], failure: str
     ) -> None:
         """Repeat an act until ``holds()``: a busy browser may have lost its connection."""
-        end = time.monotonic() + LONG
+        end = time.monotonic() + PAGE_TIMEOUT
         while not holds():
             assert time.monotonic() < end, failure
             act()
             for _ in range(100):
-                if not holds():
-                    self.page.wait_for_timeout(100)
+                if holds():  # what holds may last some seconds only, as a notice
+                    return
+                self.page.wait_for_timeout(100)
 
     def wait_until(self, holds: Callable[[], bool], failure: str) -> None:
         """Wait until ``holds()``."""
@@ -156,14 +191,15 @@ def open_window(
 ) -> Window:
     """Open the page, and wait for its panel, or for the 3D view too if ``scene``."""
     page = chromium.new_page(viewport={"width": width, "height": height})
-    page.set_default_timeout(1e3 * LONG)
+    page.set_default_timeout(1e3 * PAGE_TIMEOUT)
+    page.add_init_script(SLOW_FRAMES)
     if not first_visit:
         page.add_init_script(INTRO_SEEN)
     window = Window(page)
     page.on("console", lambda message: window.console.append(f"{message.type}: {message.text}"))
     page.on("pageerror", lambda error: window.console.append(f"error: {error}"))
     page.on("request", lambda request: window.requests.append(request.url))
-    page.goto(url)
+    page.goto(f"{url}{'&' if '?' in url else '?'}{COARSE}")
     page.get_by_role("button", name="STOP").wait_for()
     page.get_by_role("tab", name="Methods", exact=True).wait_for()
     if scene:

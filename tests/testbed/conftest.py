@@ -21,8 +21,11 @@ from robot_ik.testbed.commands import Command, Start
 from robot_ik.testbed.loop import run
 from robot_ik.testbed.session import Session
 from robot_ik.testbed.view import View
-from tests.testbed.browser_window import measure_page
-from tests.waiting import LONG, wait_for
+from tests.testbed.browser_window import SMOOTHING_OFF, measure_page
+from tests.waiting import LONG
+
+VIEWS = 900
+"""Views that a test waits for a condition: 60 s of a loop that draws at 15 Hz."""
 
 
 @dataclass
@@ -40,8 +43,20 @@ class Bed:
     def until(
         self, holds: Callable[[View], Any], failure: str = "the condition never held"
     ) -> View:
-        """Return the first view for which ``holds(view)``; fail with ``failure`` after ``LONG``."""
-        return wait_for(lambda: view if holds(view := self.view) else None, failure)
+        """Return the first view for which ``holds(view)``.
+
+        Fail with ``failure`` after ``VIEWS`` others. Views during a preparation do not count, and
+        a loop that compiles draws none.
+        """
+        end = time.monotonic() + LONG
+        count = 0
+        last = None
+        while not holds(view := self.view):
+            count += view is not last and not view.busy
+            last = view
+            assert count < VIEWS and time.monotonic() < end, failure
+            time.sleep(0.005)
+        return view
 
     def apply(self, *commands: Command) -> View:
         """Send commands and return the first view in which all of them have taken effect.
@@ -77,15 +92,27 @@ def looped(session: Session, page: Any) -> Iterator[None]:
         loop.join()
 
 
+def plain_server(port: int, *, token: bool = False) -> Any:
+    """Return a server whose page software draws fast: no shadows, no reflected surroundings.
+
+    A browser without a GPU takes 4 s of a core for the surroundings of each page that it loads.
+    The test of the notebook loads a page with them.
+    """
+    from robot_ik.testbed.frontends.page_server import PageServer
+
+    page_server = PageServer(port=port, shadows=False, token=token)
+    page_server.server.scene.configure_environment_map(None)
+    return page_server
+
+
 @contextlib.contextmanager
 def running_bed(start: Start, port: int, arm: ArmLink | None = None) -> Iterator[Bed]:
     """Yield a session with its page and its loop, after the first tick."""
     from robot_ik.testbed.frontends.browser import Page
-    from robot_ik.testbed.frontends.page_server import PageServer
 
     with (
         Session(start, arm=arm) as session,
-        Page(session, PageServer(port=port, shadows=False)) as page,
+        Page(session, plain_server(port)) as page,
         looped(session, page),
     ):
         bed = Bed(session, page)
@@ -104,7 +131,6 @@ def _opened() -> Iterator[Bed]:
     """A session with its page, whose loop does not run yet."""
     pytest.importorskip("viser", reason="needs the extra web")
     from robot_ik.testbed.frontends.browser import Page
-    from robot_ik.testbed.frontends.page_server import PageServer
 
     with Session(Start()) as session:
         bed = Bed(session, None)
@@ -115,7 +141,7 @@ def _opened() -> Iterator[Bed]:
             real(command)
 
         session.send = send  # type: ignore[method-assign]
-        with Page(session, PageServer(port=8610, shadows=False)) as page:
+        with Page(session, plain_server(8610)) as page:
             bed.page = page
             yield bed
 
@@ -131,9 +157,8 @@ def bed(_opened: Bed) -> Iterator[Bed]:
 def guarded(_opened: Bed) -> Iterator[Any]:
     """Another page of the same session, which asks for its token."""
     from robot_ik.testbed.frontends.browser import Page
-    from robot_ik.testbed.frontends.page_server import PageServer
 
-    with Page(_opened.session, PageServer(port=8611, shadows=False, token=True)) as page:
+    with Page(_opened.session, plain_server(8611, token=True)) as page:
         yield page
 
 
@@ -143,7 +168,9 @@ def chromium(require: Callable[..., str]) -> Iterator[Any]:
     sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright (the extra dev)")
     path = require("browser", "opens the page")
     with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=path, args=list(measure_page.CHROMIUM))
+        browser = playwright.chromium.launch(
+            executable_path=path, args=[*measure_page.CHROMIUM, SMOOTHING_OFF]
+        )
         yield browser
         browser.close()
 

@@ -32,11 +32,11 @@ from robot_ik.testbed.commands import (
 from robot_ik.testbed.filming import arm_link
 from robot_ik.testbed.session import Session
 from tests.testbed.browser_window import Window, open_window
-from tests.testbed.conftest import Bed, looped, running_bed
+from tests.testbed.conftest import Bed, looped, plain_server, running_bed
+from tests.waiting import LONG
 
 pytest.importorskip("viser", reason="needs the extra web")
 from robot_ik.testbed.frontends.browser import Page
-from robot_ik.testbed.frontends.page_server import PageServer
 
 BALL = (-0.45, -0.3, 0.9)
 # The orientation of the hand at home, so that `dls` converges from every earlier pose.
@@ -68,21 +68,9 @@ def arm_at_rest(bed: Bed) -> None:
     """One arm that has reached a ball at rest."""
     if bed.view.robot != "puma560":
         bed.session.send(SetRobot("puma560"))
-    for command in (SetCount(1), SetMethod(0, "dls")):
-        bed.session.send(command)
-    bed.until(
-        lambda view: (
-            (view.robot, view.count, view.busy, view.instances[0].method)
-            == ("puma560", 1, "", "dls")
-        )
-    )
-    bed.session.send(Reset())
-    bed.session.send(MoveGoal(BALL, TURNED))
-    bed.until(
-        lambda view: (
-            view.motion == "hand" and view.running and view.instances[0].status == "converged"
-        )
-    )
+    bed.apply(SetCount(1), SetMethod(0, "dls"))
+    bed.apply(Reset(), MoveGoal(BALL, TURNED))
+    bed.until(lambda view: view.instances[0].status == "converged", "the ball is not met")
     bed.sent.clear()
 
 
@@ -264,7 +252,8 @@ def test_an_obstacle_is_added_measured_and_removed(window: Window, bed: Bed) -> 
     window.open_tab("Scene")
     window.page.get_by_role("button", name="Cylinder").click()
     window.page.get_by_role("cell", name="cylinder 1", exact=True).wait_for()
-    window.page.get_by_role("cell", name=re.compile("cm to|touches")).wait_for()
+    distance = window.page.get_by_role("cell", name=re.compile("cm to|touches"))
+    distance.wait_for(timeout=1e3 * LONG)
     assert np.isfinite(bed.view.obstacles[0].distance)
     height = window.page.get_by_role("textbox", name="height of cylinder 1")
     height.fill("62.5")
@@ -292,7 +281,7 @@ def test_a_mesh_that_the_arm_touches_turns_the_parts_red_with_the_depth(
     window.open_tab("Scene")
     file = {"name": "cube.obj", "mimeType": "text/plain", "buffer": CUBE.encode()}
     page.get_by_label("mesh file").set_input_files(file)
-    page.get_by_role("cell", name=re.compile("^cube ")).wait_for()
+    page.get_by_role("cell", name=re.compile("^cube ")).wait_for(timeout=1e3 * LONG)
     bed.session.send(MoveObstacle(0, BALL))
     view = bed.until(lambda view: view.contacts, "the hand does not touch the mesh at the ball")
     contact = view.contacts[0]
@@ -314,7 +303,7 @@ def test_a_motion_is_planned_shown_scrubbed_and_played(window: Window, bed: Bed)
     page = window.page
     window.open_tab("Scene")
     page.get_by_role("button", name="Plan to the ball").click()
-    page.get_by_text("proven to keep 3 mm").wait_for()
+    page.get_by_text("proven to keep 3 mm").wait_for(timeout=1e3 * LONG)
     view = bed.until(lambda view: view.plan.state == "found")
     page.wait_for_function("() => window.__viserMutable.nodeRefFromName['/robot/plan_path']")
     slider = page.get_by_role("slider", name="time of the planned motion")
@@ -344,7 +333,7 @@ def test_the_reach_is_a_cloud_or_a_shell_with_its_scale(window: Window, bed: Bed
     node = "window.__viserMutable.nodeRefFromName['/robot/reach_map']"
     for name in ("Cloud", "Shell"):
         page.get_by_role("button", name=name, exact=True).click()
-        page.get_by_text(re.compile("% of directions")).wait_for()
+        page.get_by_text(re.compile("% of directions")).wait_for(timeout=1e3 * LONG)
         page.wait_for_function(f"() => {node}")
     page.get_by_text("proven out of reach").wait_for()
     page.get_by_role("button", name="None", exact=True).click()
@@ -363,7 +352,8 @@ def test_a_file_is_saved_by_the_browser(window: Window) -> None:
 def test_compare_four_shows_four_cards_and_labels(window: Window, bed: Bed) -> None:
     window.open_tab("Methods")
     window.leave_fields()
-    window.press("4", lambda: bed.view.count == 4, "there are not four")
+    window.press("4", lambda: bed.view.busy or bed.view.count == 4, "there are not four")
+    bed.until(lambda view: view.count == 4 and not view.busy, "there are not four")
     for k, name in enumerate(("dls", "lm", "pseudoinverse", "ccd")):
         menu = window.page.get_by_role("combobox", name=f"method of robot {k + 1}")
         menu.wait_for()
@@ -618,8 +608,7 @@ def test_a_robot_is_chosen_in_the_gallery(chromium: Any, plain_bed: Bed) -> None
 
 def test_pictures_of_the_camera_follow_each_other(chromium: Any, plain_bed: Bed) -> None:
     grey = CameraPicture(np.full((9, 16, 3), 128, np.uint8), ((7, 0.5, 0.25),), "a picture")
-    server = PageServer(port=8615, shadows=False)
-    with Page(plain_bed.session, server, camera=lambda: lambda: grey) as page:
+    with Page(plain_bed.session, plain_server(8615), camera=lambda: lambda: grey) as page:
         window = open_window(chromium, page.url, scene=False)
         image = window.page.get_by_role("img", name="picture of the camera")
         assert image.is_hidden()
@@ -658,7 +647,7 @@ def test_a_page_without_its_program_says_that_stop_does_not_work(
 ) -> None:
     with (
         Session(Start("tabletop_puma"), arm=arm_link("tabletop_puma", None, "sim")) as session,
-        Page(session, PageServer(port=8612, shadows=False)) as page,
+        Page(session, plain_server(8612)) as page,
         looped(session, page),
     ):
         window = open_window(chromium, page.url, scene=False)

@@ -394,7 +394,7 @@ def test_a_passive_figure_waits_until_it_is_reported(session: Session) -> None:
     )
     assert "no figure decides" in view_after(session, SetFigure("off"), Act(), ticks=1).message
     assert (
-        "no figure"
+        "is not a figure"
         in view_after(session, SetRobot("puma560"), SetFigure("active"), ticks=1).message
     )
 

@@ -27,7 +27,7 @@ from robot_ik.testbed.commands import (
 from robot_ik.testbed.view import View
 from tests.testbed.browser_window import PIXEL, Window, open_window
 from tests.testbed.conftest import Bed, running_bed
-from tests.waiting import wait_for
+from tests.waiting import LONG, wait_for
 
 pytest.importorskip("viser", reason="needs the extra web")
 FRAMES = 60
@@ -100,7 +100,7 @@ def test_each_robot_has_its_method_options_attempts_distance_and_limits(
     view = bench.until(lambda view: view.instances[1].limited, "limits are not switched")
     assert not view.instances[0].limited and dict(view.instances[0].options)["damping"] == 0.05
     slider = second.get_by_role("slider", name="damping", exact=True)
-    assert slider.evaluate("slider => slider.value") == "1000", "10 is the end of the slider"
+    page.wait_for_function("slider => slider.value === '1000'", arg=slider.element_handle())
     second.get_by_role("combobox", name="method of robot 2").select_option("transpose")
     bench.until(lambda view: view.instances[1].method == "transpose" and not view.busy)
     field = second.get_by_role("textbox", name="fixed alpha as a number")
@@ -117,7 +117,10 @@ def test_keys_show_one_two_or_four_robots(window: Window, bench: Bed) -> None:
     shown(bench, "seven_segment", 1)
     window.leave_fields()
     for key, count in (("2", 2), ("4", 4), ("1", 1)):
-        window.press(key, lambda count=count: bench.view.count == count, f"key {key}")
+        window.press(
+            key, lambda count=count: bench.view.busy or bench.view.count == count, f"key {key}"
+        )
+        bench.until(lambda view, count=count: view.count == count and not view.busy)
 
 
 def test_the_ball_goes_by_hand_on_a_curve_and_at_random(window: Window, bench: Bed) -> None:
@@ -219,7 +222,7 @@ def test_a_button_runs_the_four_cases_and_shows_table_4_1(window: Window, bench:
     )
     run_cases.click()
     table = page.get_by_role("dialog", name="table 4.1 of thesis S12")
-    table.wait_for()
+    table.wait_for(timeout=1e3 * LONG)  # methods may have to be compiled
     rows = [row.inner_text().split("\t") for row in table.locator("tr").all()]
     assert [row[0].strip() for row in rows[1:]] == ["ccd", "transpose", "pseudoinverse", "dls"]
     cells = [cell.split() for row in rows[1:] for cell in row[1:]]
@@ -402,7 +405,7 @@ def test_shell_regions_and_test_cube_are_drawn(window: Window, bench: Bed) -> No
     shell = "name => window.__viserMutable.nodeRefFromName[name]"
     pictures = page.get_by_role("group", name="reach")
     pictures.get_by_role("button", name="Space", exact=True).click()
-    page.wait_for_function(shell, arg="/regions/reach/shell")
+    page.wait_for_function(shell, arg="/regions/reach/shell", timeout=1e3 * LONG)
     pictures.get_by_role("button", name="None", exact=True).click()
     for name, nodes in (
         ("Regions of the figure", tuple(f"/regions/figure/{k}" for k in ("reach", "bend", "jump"))),
@@ -411,7 +414,7 @@ def test_shell_regions_and_test_cube_are_drawn(window: Window, bench: Bed) -> No
         switch = page.get_by_role("switch", name=name, exact=True)
         switch.click()
         for node in nodes:
-            page.wait_for_function("name => window.__viserMutable.nodeRefFromName[name]", arg=node)
+            page.wait_for_function(shell, arg=node, timeout=1e3 * LONG)
         switch.click()
         for node in nodes:
             page.wait_for_function("name => !window.__viserMutable.nodeRefFromName[name]", arg=node)
