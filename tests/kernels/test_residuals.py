@@ -62,7 +62,7 @@ def make_goal(data, kind, robot, there, weights):
     if kind is PostureGoal:
         joint_weights = {robot.joints[0]: weights[1]}
         return PostureGoal(
-            q=there, weight=weights[0], joints=joint_weights, only=data.draw(st.booleans())
+            q=there, weight=weights[0], joints=joint_weights, only_named=data.draw(st.booleans())
         )
     axis = data.draw(AXIS)
     if kind is AimGoal:
