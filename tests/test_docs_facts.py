@@ -83,7 +83,7 @@ def test_the_numbers_of_the_readme_are_those_of_the_tables() -> None:
     pattern = r"^\| cold PUMA 560, any method: mean \|.*? `robot_ik` ([\d.]+) \| ([\d.]+) \|$"
     ((mean, ratio),) = re.findall(pattern, comparison, re.MULTILINE)
     assert f"takes {mean} µs on average, {ratio} of the time" in head
-    pattern = r"^\| out of reach, proof: median \|.*? `robot_ik_analytic` ([\d.]+) \|"
+    pattern = r"^\| out of reach, closed form: median \|.*? `robot_ik_analytic` ([\d.]+) \|"
     (proof,) = re.findall(pattern, comparison, re.MULTILINE)
     assert f"a median of {proof} µs" in head
     assert f"{len(FAULTS)} kinds of faults" in head

@@ -129,7 +129,7 @@ def test_the_reason_of_a_write_error_is_reported(tmp_path: Path) -> None:
         (
             lambda path: write_atomically(path, ""),
             missing / "a",
-            f"there is no folder {missing}(.|\n)*make the folder",
+            f"there is no folder {missing}(.|\n)*create the folder",
         ),
         (lambda path: claimed(path).__enter__(), tmp_path, "it is a folder(.|\n)*name of a file"),
     ):

@@ -139,7 +139,8 @@ def test_a_hand_that_does_not_hold_still(
         if text[0] == "2":
             from robot_ik.hardware.virtual.faults import Fault
 
-            bus.inject(Fault("turn", id=2, value=30.0, at_s=0.05))
+            for k in range(1, 40):  # for two seconds, whenever the zero is taken
+                bus.inject(Fault("turn", id=2, value=30.0, at_s=0.05 * k))
 
     failing(calibrate(restless), tmp_path, "joint2", "still")
 

@@ -22,8 +22,8 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
 def _quick(monkeypatch: pytest.MonkeyPatch, desk: Any) -> None:
     from robot_ik.hardware import discovery
 
-    monkeypatch.setattr(discovery.SerialBus, "listening_time", 0.03)
-    monkeypatch.setattr(discovery, "RESPONSE_TIME", 0.012)
+    monkeypatch.setattr(discovery.SerialBus, "listening_time", 0.1)
+    monkeypatch.setattr(discovery, "RESPONSE_TIME", 0.05)
     monkeypatch.setattr(discovery, "IDS", range(8))
     monkeypatch.setattr(doctor, "CHECKS", [])
     for servo in desk.bus.servos:

@@ -47,7 +47,7 @@ def test_every_servo_in_fault_is_named_at_connect(lab):
 
 
 def test_row_15(lab):
-    """a servo that answers only some instructions"""
+    """a servo that replies only to some instructions"""
     faults = Fault("status_level", id=2, value=0), Fault("status_level", id=3, value=1)
     with lab.arm(*faults) as arm:
         assert lab.registers(arm, "status_return_level") == [2] * 6
@@ -119,7 +119,7 @@ def test_row_20(lab):
 
 
 def test_row_21(lab):
-    """a program that stops, says NaN, or jumps"""
+    """a program that stops, commands NaN, or commands a jump"""
     with lab.arm() as arm:
         arm.enable()
         lab.drive(arm)
@@ -219,7 +219,7 @@ def test_an_arm_turned_by_hand_without_torque_has_not_jumped(lab):
 
 
 def test_row_23(lab, real_time):
-    """FF FF FD within data"""
+    """the header bytes FF FF FD within data"""
     for on in ("sim", "pty"):
         with lab.arm(on=on) as arm:
             offset = lab.config.joints[0].servo.table["homing_offset"]
@@ -241,7 +241,7 @@ def test_row_24(lab):
 
 
 def test_row_25(lab, real_time, monkeypatch):
-    """the computer's clock set"""
+    """a change of the computer's clock"""
     jumps = iter(range(10**9))
     with lab.arm(on="pty") as arm:
         arm.enable()
@@ -252,6 +252,6 @@ def test_row_25(lab, real_time, monkeypatch):
 
 
 def test_row_26(lab):
-    """all of the wire at a low rate"""
+    """all faults of the wire at a low rate"""
     counters = lab.follows_a_bad_wire(300, 0.8, **dict.fromkeys(SPOILS, 3e-3)).bus.counters
     assert counters.asked == counters.answered + counters.refused + counters.timeouts

@@ -94,12 +94,12 @@ def test_row_06(lab):
 
 
 def test_row_07(lab):
-    """a reply in the next cycle"""
+    """a reply that arrives in the next cycle"""
     assert lab.follows_a_bad_wire(late=0.1).bus.counters.late > 0
 
 
 def test_row_08(lab, real_time):
-    """an adapter that keeps bytes, servos that wait"""
+    """an adapter that delays bytes, servos that delay replies"""
     with lab.arm(Fault("return_delay", value=250), Fault("latency", value=4.0), on="pty") as arm:
         assert lab.registers(arm, "return_delay_time") == [0] * 6  # set at connect
         arm.enable()
@@ -149,7 +149,7 @@ def test_row_10(lab):
 
 
 def test_row_11(lab):
-    """another model, one missing, one too many"""
+    """another model, a missing servo, an extra servo"""
     faults = Fault("model", id=3, value=1190), Fault("silent", id=5), Fault("extra", value=12)
     arm = lab.arm(*faults)
     with pytest.raises(ServoMismatchError) as caught:
