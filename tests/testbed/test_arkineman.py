@@ -138,18 +138,21 @@ def test_delay_and_remedies_are_switched_and_shown(window: Window, figure_bed: B
             return of("delay") >= 200 && of("error") > 0.5;
         }"""
     )
-    for name in ("Prediction", "Image shift"):
+    settings = figure_bed.page.ar.settings
+
+    def click(name: str, **wanted: object) -> None:
+        """Click a switch and wait for its effect: each click sends all settings of the page."""
         page.get_by_role("switch", name=name).click()
         window.blur()
+        window.wait_until(lambda: settings() | wanted == settings(), f"{name}: no effect")
+
+    click("Prediction", predict=True)
+    click("Image shift", shift=True)
     assert figures.is_visible()
-    wanted = {"seconds": 0.2, "sync": "latest", "predict": True, "shift": True}
-    settings = figure_bed.page.ar.settings
-    window.repeat_until(
-        lambda: None, lambda: settings() | wanted == settings(), "not all are switched"
-    )
-    for name in ("Prediction", "Image shift"):
-        page.get_by_role("switch", name=name).click()
-    page.get_by_role("switch", name="Delayed video").click()
+    assert settings() | {"seconds": 0.2, "sync": "latest"} == settings()
+    click("Prediction", predict=False)
+    click("Image shift", shift=False)
+    click("Delayed video", sync="tracked")
     page.get_by_role("combobox", name="delay of the tracker").select_option("0")
     usual = {"seconds": 0.0, "sync": "tracked", "predict": False, "shift": False}
     window.wait_until(lambda: settings() | usual == settings(), "not all are back")
