@@ -279,8 +279,10 @@ def test_ccd_and_other_methods_drive_an_arm_of_the_figure(window: Window, figure
 def test_the_learned_prior_is_a_goal_of_the_page(window: Window, figure_bed: Bed) -> None:
     in_mode(figure_bed, "off")
     window.open_tab("Goals")
+    figure_bed.until(lambda view: not view.busy)
     switch = window.page.get_by_role("switch", name=NATURAL_POSE)
     switch.click()
+    window.blur()
     figure_bed.until(
         lambda view: any(extra.name == NATURAL_POSE and extra.on for extra in view.extras)
     )
